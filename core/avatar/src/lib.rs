@@ -1,0 +1,1 @@
+//! Gaussians on a head: deformation, stage-1 fitting, density control, skin selection.

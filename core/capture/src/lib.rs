@@ -1,0 +1,1 @@
+//! Video readers, matting, and the synthetic recording with its mesh renderer.

@@ -1,0 +1,1 @@
+//! Head models, linear blend skinning, landmark networks and the head tracker.

@@ -1,0 +1,1 @@
+//! RON graphs, typed ports, registry, planner, scheduler and content-addressed cache. Knows no face.

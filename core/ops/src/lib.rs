@@ -1,0 +1,1 @@
+//! SIMD dispatch, matrix product, convolution, pooling and activations.

@@ -1,0 +1,1 @@
+//! Detrending, band-pass, spectrum, heart rate, SNR, unsupervised rPPG methods and their metrics.

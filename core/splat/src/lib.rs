@@ -1,0 +1,1 @@
+//! Gaussians: projection, rasteriser with exact gradients, deferred shading, lights and image losses. Knows no face.

@@ -1,0 +1,1 @@
+//! Nodes BaselineTrainer, SkinSelector, Renderer and Relighter.

@@ -1,0 +1,1 @@
+//! Nodes FrameLoader and FlameTracker.

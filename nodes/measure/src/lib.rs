@@ -1,0 +1,1 @@
+//! Nodes HrEstimator and BenchmarkDecoder. May not depend on heartian-pulse.

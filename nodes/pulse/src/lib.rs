@@ -1,0 +1,1 @@
+//! Nodes PhaseModel and MlpResidual.
