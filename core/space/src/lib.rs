@@ -10,6 +10,7 @@ mod image;
 mod metrics;
 mod progress;
 mod series;
+mod sparse;
 
 pub use camera::Camera;
 pub use clip::{Clip, Sequence};
@@ -17,6 +18,7 @@ pub use image::Rgb8Image;
 pub use metrics::Metrics;
 pub use progress::Progress;
 pub use series::Series;
+pub use sparse::AlbedoOperator;
 
 /// What can be wrong with plain data.
 #[derive(Debug, thiserror::Error)]
