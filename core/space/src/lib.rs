@@ -10,7 +10,9 @@ mod image;
 mod metrics;
 mod progress;
 mod series;
+mod skin;
 mod sparse;
+mod traces;
 
 pub use camera::Camera;
 pub use clip::{Clip, Sequence};
@@ -18,7 +20,9 @@ pub use image::Rgb8Image;
 pub use metrics::Metrics;
 pub use progress::Progress;
 pub use series::Series;
+pub use skin::{Modulation, Skin};
 pub use sparse::AlbedoOperator;
+pub use traces::{Trace, Traces};
 
 /// What can be wrong with plain data.
 #[derive(Debug, thiserror::Error)]
@@ -70,6 +74,9 @@ pub enum SpaceError {
         /// Last time wanted.
         wanted_to: f64,
     },
+    /// Entries are not in increasing order.
+    #[error("{0} are not in increasing order")]
+    Order(&'static str),
     /// There is nothing in it.
     #[error("{0} is empty")]
     Empty(&'static str),
