@@ -1,1 +1,16 @@
 //! Head models, linear blend skinning, landmark networks and the head tracker.
+//!
+//! Head space: metres, x toward the subject's left, y up, z out of the face, origin near the centre of the head. A
+//! frontal face before the camera of our clips has `world_from_head` ≈ (identity, (0, 0, −1)).
+
+mod error;
+mod model;
+mod observations;
+mod skinning;
+mod track;
+
+pub use error::FaceError;
+pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};
+pub use observations::{Landmark, Observations};
+pub use skinning::vertex_normals;
+pub use track::{FramePose, Track};
