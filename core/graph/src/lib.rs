@@ -1,1 +1,55 @@
 //! RON graphs, typed ports, registry, planner, scheduler and content-addressed cache. Knows no face.
+//!
+//! A node is a struct whose fields are its parameters ([`params!`]), a [`Node`] impl that names its ports and calls one
+//! function of a domain crate, and one [`register!`] line:
+//!
+//! ```
+//! use heartian_graph::{Context, Files, Inputs, Node, NodeError, Outputs, Port, params, register};
+//!
+//! params! {
+//!     /// Writes a greeting as a text file.
+//!     pub struct Greeter {
+//!         /// Who is greeted.
+//!         name: String = "world".to_owned();
+//!         /// How often.
+//!         times: u32 = 1, range(1.0, 10.0);
+//!     }
+//! }
+//! register!(Greeter);
+//!
+//! impl Node for Greeter {
+//!     const KIND: &'static str = "Greeter";
+//!     const REVISION: u32 = 1;
+//!     const INPUTS: &'static [Port] = &[Port::many::<Files>("before", "Files to carry along.").optional()];
+//!     const OUTPUTS: &'static [Port] = &[Port::one::<Files>("files", "The greeting, and what came before.")];
+//!
+//!     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
+//!         let mut files = Files::new();
+//!         for (done, before) in inputs.many::<Files>("before")?.iter().enumerate() {
+//!             files.extend(before);
+//!             if context.progress(done as u64 + 1, 0, None).is_break() {
+//!                 return Err(NodeError::cancelled());
+//!             }
+//!         }
+//!         let greeting = format!("Hello {}! ", self.name).repeat(self.times as usize);
+//!         Ok(Outputs::new().put("files", files.with("greeting.txt", greeting.into_bytes())?))
+//!     }
+//! }
+//! ```
+
+mod artifacts;
+mod context;
+mod files;
+mod node;
+mod params;
+mod registry;
+
+pub use artifacts::{AnyArtifact, Inputs, Outputs};
+pub use context::{Cancel, Context, Event, Observer, Progress, Status};
+pub use files::Files;
+pub use node::{Node, NodeError, ParamError, Port, SourceFile};
+pub use params::{ParamDoc, Params};
+pub use registry::{ErasedNode, NodeKind, Registry};
+
+#[doc(hidden)]
+pub use {inventory, serde};

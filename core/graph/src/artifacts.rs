@@ -1,0 +1,144 @@
+//! Artifacts of any type on their way between nodes. Immutable once made, shared by reference count.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use heartian_artifact::{Artifact, ArtifactError, ArtifactType, BundleReader};
+
+use crate::node::NodeError;
+
+/// An artifact whose type is known by name.
+#[derive(Clone)]
+pub struct AnyArtifact {
+    value: Arc<dyn Any + Send + Sync>,
+    artifact: ArtifactType,
+    encode: fn(&dyn Any) -> Result<Vec<u8>, ArtifactError>,
+}
+
+impl AnyArtifact {
+    /// Wraps a value.
+    pub fn new<T: Artifact>(value: T) -> Self {
+        Self { value: Arc::new(value), artifact: T::TYPE, encode: encode::<T> }
+    }
+
+    /// Reads a value back from its on-disk form.
+    ///
+    /// # Errors
+    /// When the bytes are not such an artifact.
+    pub fn decode<T: Artifact>(bytes: &[u8]) -> Result<Self, ArtifactError> {
+        Ok(Self::new(T::from_bundle(BundleReader::new(bytes)?)?))
+    }
+
+    /// The type's name and version.
+    pub fn artifact_type(&self) -> ArtifactType {
+        self.artifact
+    }
+
+    /// The value, if it is a `T`.
+    pub fn downcast<T: Artifact>(&self) -> Option<Arc<T>> {
+        self.value.clone().downcast().ok()
+    }
+
+    /// The on-disk form.
+    ///
+    /// # Errors
+    /// When the value cannot be expressed.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, ArtifactError> {
+        (self.encode)(&*self.value)
+    }
+}
+
+fn encode<T: Artifact>(value: &dyn Any) -> Result<Vec<u8>, ArtifactError> {
+    match value.downcast_ref::<T>() {
+        Some(value) => value.to_bundle()?.to_bytes(),
+        None => Err(ArtifactError::Invalid(format!("the value is not a `{}`", T::TYPE.name))),
+    }
+}
+
+/// What the wires bring to a running node, by port.
+#[derive(Clone, Default)]
+pub struct Inputs {
+    ports: BTreeMap<String, Vec<AnyArtifact>>,
+}
+
+impl Inputs {
+    /// No inputs.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a value to a port; twice to the same port makes a list.
+    pub fn with(mut self, port: &str, artifact: AnyArtifact) -> Self {
+        self.ports.entry(port.to_owned()).or_default().push(artifact);
+        self
+    }
+
+    /// The value on a required port.
+    ///
+    /// # Errors
+    /// When nothing is wired, or another type.
+    pub fn get<T: Artifact>(&self, port: &str) -> Result<Arc<T>, NodeError> {
+        let missing = || NodeError::new(format!("input `{port}` carries nothing")).remedy(format!("wire `{port}`"));
+        self.optional(port)?.ok_or_else(missing)
+    }
+
+    /// The value on an optional port.
+    ///
+    /// # Errors
+    /// When it carries another type.
+    pub fn optional<T: Artifact>(&self, port: &str) -> Result<Option<Arc<T>>, NodeError> {
+        Ok(self.many(port)?.into_iter().next())
+    }
+
+    /// All values on a port, in the order of the graph file.
+    ///
+    /// # Errors
+    /// When one is of another type.
+    pub fn many<T: Artifact>(&self, port: &str) -> Result<Vec<Arc<T>>, NodeError> {
+        let cast = |artifact: &AnyArtifact| {
+            artifact.downcast().ok_or_else(|| {
+                let (found, wanted) = (artifact.artifact.name, T::TYPE.name);
+                NodeError::new(format!("input `{port}` carries `{found}` where the node reads `{wanted}`"))
+            })
+        };
+        self.ports.get(port).map_or(Ok(Vec::new()), |values| values.iter().map(cast).collect())
+    }
+}
+
+/// What a node made, by port.
+#[derive(Clone, Default)]
+pub struct Outputs {
+    ports: BTreeMap<&'static str, AnyArtifact>,
+}
+
+impl Outputs {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds the value of a port; the last of equal names wins.
+    pub fn put<T: Artifact>(mut self, port: &'static str, value: T) -> Self {
+        self.ports.insert(port, AnyArtifact::new(value));
+        self
+    }
+
+    /// Adds the value of an optional port if there is one.
+    pub fn put_some<T: Artifact>(self, port: &'static str, value: Option<T>) -> Self {
+        match value {
+            Some(value) => self.put(port, value),
+            None => self,
+        }
+    }
+
+    /// The value of a port.
+    pub fn get(&self, port: &str) -> Option<&AnyArtifact> {
+        self.ports.get(port)
+    }
+
+    /// Ports written, in the order of their names.
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, &AnyArtifact)> {
+        self.ports.iter().map(|(port, artifact)| (*port, artifact))
+    }
+}

@@ -1,0 +1,146 @@
+//! The kinds of nodes a program knows, erased of their types.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use crate::artifacts::{Inputs, Outputs};
+use crate::context::Context;
+use crate::node::{Node, NodeError, ParamError, Port, SourceFile};
+use crate::params::ParamDoc;
+
+/// A node with its parameters set, its type forgotten.
+pub trait ErasedNode: Send + Sync {
+    /// See [`Node::sources`].
+    fn sources(&self) -> Vec<SourceFile>;
+    /// See [`Node::validate`].
+    fn validate(&self) -> Vec<ParamError>;
+    /// All parameters, defaults written out.
+    ///
+    /// # Errors
+    /// When a value has no JSON form.
+    fn values(&self) -> Result<serde_json::Map<String, Value>, serde_json::Error>;
+    /// See [`Node::run`].
+    ///
+    /// # Errors
+    /// Those of the node.
+    fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError>;
+}
+
+impl<N: Node> ErasedNode for N {
+    fn sources(&self) -> Vec<SourceFile> {
+        Node::sources(self)
+    }
+    fn validate(&self) -> Vec<ParamError> {
+        Node::validate(self)
+    }
+    fn values(&self) -> Result<serde_json::Map<String, Value>, serde_json::Error> {
+        match serde_json::to_value(self)? {
+            Value::Object(map) => Ok(map),
+            _ => Ok(serde_json::Map::new()),
+        }
+    }
+    fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
+        Node::run(self, inputs, context)
+    }
+}
+
+/// A kind of node: its manual, and how to make one.
+#[derive(Clone, Copy)]
+pub struct NodeKind {
+    /// See [`Node::KIND`].
+    pub kind: &'static str,
+    /// See [`Node::REVISION`].
+    pub revision: u32,
+    /// What it does, in words.
+    pub doc: &'static str,
+    /// See [`Node::INPUTS`].
+    pub inputs: &'static [Port],
+    /// See [`Node::OUTPUTS`].
+    pub outputs: &'static [Port],
+    /// Its parameters.
+    pub params: &'static [ParamDoc],
+    pub(crate) default: fn() -> Box<dyn ErasedNode>,
+}
+
+impl NodeKind {
+    /// The kind of `N`.
+    pub const fn of<N: Node>() -> Self {
+        Self {
+            kind: N::KIND,
+            revision: N::REVISION,
+            doc: N::DOC,
+            inputs: N::INPUTS,
+            outputs: N::OUTPUTS,
+            params: N::PARAMS,
+            default: || Box::new(N::default()),
+        }
+    }
+
+    /// A node with default parameters.
+    pub fn default_node(&self) -> Box<dyn ErasedNode> {
+        (self.default)()
+    }
+
+    /// The input of that name.
+    pub fn input(&self, name: &str) -> Option<&'static Port> {
+        self.inputs.iter().find(|port| port.name == name)
+    }
+
+    /// The output of that name.
+    pub fn output(&self, name: &str) -> Option<&'static Port> {
+        self.outputs.iter().find(|port| port.name == name)
+    }
+
+    /// The parameter of that name.
+    pub fn param(&self, name: &str) -> Option<&'static ParamDoc> {
+        self.params.iter().find(|param| param.name == name)
+    }
+}
+
+inventory::collect!(NodeKind);
+
+/// Makes a node known to every program that links its crate: one visible line a node.
+#[macro_export]
+macro_rules! register {
+    ($node:ty) => {
+        $crate::inventory::submit! { $crate::NodeKind::of::<$node>() }
+    };
+}
+
+/// Kinds by name.
+#[derive(Clone, Default)]
+pub struct Registry {
+    kinds: BTreeMap<&'static str, NodeKind>,
+}
+
+impl Registry {
+    /// All kinds linked into this program.
+    pub fn compiled_in() -> Self {
+        Self::of(inventory::iter::<NodeKind>.into_iter().copied())
+    }
+
+    /// These kinds and no others; the first of equal names wins, [`Registry::all_compiled_in`] shows them all.
+    pub fn of(kinds: impl IntoIterator<Item = NodeKind>) -> Self {
+        let mut map = BTreeMap::new();
+        for kind in kinds {
+            map.entry(kind.kind).or_insert(kind);
+        }
+        Self { kinds: map }
+    }
+
+    /// Every registration, equal names included, for the law that there are none.
+    pub fn all_compiled_in() -> Vec<NodeKind> {
+        inventory::iter::<NodeKind>.into_iter().copied().collect()
+    }
+
+    /// The kind of that name.
+    pub fn get(&self, kind: &str) -> Option<&NodeKind> {
+        self.kinds.get(kind)
+    }
+
+    /// All kinds, in the order of their names.
+    pub fn iter(&self) -> impl Iterator<Item = &NodeKind> {
+        self.kinds.values()
+    }
+}
