@@ -1,1 +1,3 @@
 //! Video readers, matting, and the synthetic recording with its mesh renderer.
+
+mod mesh;
