@@ -5,6 +5,7 @@
 
 mod error;
 mod model;
+pub mod nets;
 mod observations;
 mod skinning;
 mod track;
