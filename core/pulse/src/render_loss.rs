@@ -1,0 +1,185 @@
+//! L_base of stage 2 without rasterising: the L1 of sRGB green over pooled cells as a quadratic in the albedo offsets.
+//!
+//! The rendered linear green of a cell is affine in the offsets (`heartian_space::AlbedoOperator`). The sRGB transfer
+//! is linearised at the cell's base value, and |e| is bounded from above by e²/(2|e₀|) + |e₀|/2 with e₀ the error at
+//! zero offset, floored at one 8-bit level. Columns are pooled into groups that share an offset, so that a frame's loss
+//! is ½xᵀHx + bᵀx + c with x one offset a group. Differs from the paper, whose L_base also has D-SSIM: offsets of a
+//! few tenths of an 8-bit level leave local structure as it is.
+
+use heartian_space::AlbedoOperator;
+use heartian_space::color::{srgb_from_linear, srgb_from_linear_derivative};
+
+use crate::error::{PulseError, check_length};
+
+/// Errors below one 8-bit level are penalised quadratically.
+const LEAST_ERROR: f64 = 1.0 / 255.0;
+
+/// The quadratic surrogate for `groups` shared offsets a frame. Values are means over all counted pixels.
+#[derive(Clone, Debug)]
+pub struct RenderLoss {
+    groups: usize,
+    frames: Vec<usize>,
+    hessian: Vec<f64>,
+    slope: Vec<f64>,
+    constant: f64,
+}
+
+/// A cell's error and its sensitivity to the linear green, in sRGB units, with its share of all pixels.
+fn cell(operator: &AlbedoOperator, row: usize, pixels: f64) -> (f64, f64, f64) {
+    let (base, target) = (operator.base[row].max(0.0), operator.target[row].max(0.0));
+    let error = f64::from(srgb_from_linear(base)) - f64::from(srgb_from_linear(target));
+    (error, f64::from(srgb_from_linear_derivative(base)), f64::from(operator.pixels[row]) / pixels)
+}
+
+impl RenderLoss {
+    /// Pools the operator's columns: column i belongs to `group_of[i] < groups`.
+    ///
+    /// # Errors
+    /// When `group_of` does not name a group for each column.
+    pub fn new(operator: &AlbedoOperator, group_of: &[usize], groups: usize) -> Result<Self, PulseError> {
+        check_length("the group of each skin Gaussian", operator.column_count, group_of.len())?;
+        let pixels: f64 = operator.pixels.iter().map(|&p| f64::from(p)).sum::<f64>().max(1.0);
+        let frames: Vec<usize> = operator.frames.iter().map(|&frame| frame as usize).collect();
+        let mut hessian = vec![0.0; frames.len() * groups * groups];
+        let (mut slope, mut constant) = (vec![0.0; frames.len() * groups], 0.0);
+        let mut pooled = vec![0.0; groups];
+        for f in 0..frames.len() {
+            let hessian = &mut hessian[f * groups * groups..(f + 1) * groups * groups];
+            let slope = &mut slope[f * groups..(f + 1) * groups];
+            for row in operator.rows_of(f) {
+                let (error, transfer, share) = cell(operator, row, pixels);
+                constant += share * error.abs();
+                pooled.fill(0.0);
+                for (column, weight) in operator.row(row) {
+                    pooled[group_of[column].min(groups - 1)] += f64::from(weight) * transfer;
+                }
+                let curvature = share / error.abs().max(LEAST_ERROR);
+                for a in 0..groups {
+                    if pooled[a] == 0.0 {
+                        continue;
+                    }
+                    slope[a] += curvature * error * pooled[a];
+                    for b in 0..groups {
+                        hessian[a * groups + b] += curvature * pooled[a] * pooled[b];
+                    }
+                }
+            }
+        }
+        Ok(Self { groups, frames, hessian, slope, constant })
+    }
+
+    /// The surrogate and its gradient: `offsets` is T×groups in linear albedo; `scale`·gradient is added to `gradient`.
+    /// Frames beyond the offsets are skipped.
+    pub fn loss(&self, offsets: &[f64], scale: f64, gradient: &mut [f64]) -> f64 {
+        let g = self.groups;
+        let mut loss = self.constant;
+        for (f, &frame) in self.frames.iter().enumerate() {
+            let Some(x) = offsets.get(frame * g..(frame + 1) * g) else { continue };
+            let pulled = &mut gradient[frame * g..(frame + 1) * g];
+            for a in 0..g {
+                let row = &self.hessian[(f * g + a) * g..(f * g + a + 1) * g];
+                let curved: f64 = row.iter().zip(x).map(|(h, x)| h * x).sum();
+                loss += x[a] * (0.5 * curved + self.slope[f * g + a]);
+                pulled[a] += scale * (curved + self.slope[f * g + a]);
+            }
+        }
+        loss
+    }
+}
+
+/// The plain text of what the surrogate bounds: mean |Δ sRGB green| over counted pixels, for dense `offsets` (T×n).
+pub fn exact_l1(operator: &AlbedoOperator, offsets: &[f64]) -> f64 {
+    let n = operator.column_count;
+    let pixels: f64 = operator.pixels.iter().map(|&p| f64::from(p)).sum::<f64>().max(1.0);
+    let mut loss = 0.0;
+    for (f, &frame) in operator.frames.iter().enumerate() {
+        for row in operator.rows_of(f) {
+            let shift: f64 = operator.row(row).map(|(i, w)| f64::from(w) * offsets[frame as usize * n + i]).sum();
+            let green = (f64::from(operator.base[row]) + shift).max(0.0);
+            let error = srgb_from_linear(green as f32) - srgb_from_linear(operator.target[row].max(0.0));
+            loss += f64::from(error.abs()) * f64::from(operator.pixels[row]) / pixels;
+        }
+    }
+    loss
+}
+
+/// How many 8-bit levels one unit of uniform albedo offset moves the picture: the pixel-weighted mean over lit cells;
+/// `None` when no cell sees the skin.
+pub fn levels_per_albedo(operator: &AlbedoOperator) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for row in 0..operator.base.len() {
+        let reach: f64 = operator.row(row).map(|(_, weight)| f64::from(weight)).sum();
+        if reach > 0.0 {
+            let transfer = f64::from(srgb_from_linear_derivative(operator.base[row].max(1e-4)));
+            // Cells that barely see the skin should not dilute the answer: weigh by reach too.
+            let weight = f64::from(operator.pixels[row]) * reach;
+            sum += weight * 255.0 * transfer * reach;
+            count += weight;
+        }
+    }
+    (count > 0.0).then(|| sum / count)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+pub(crate) mod tests {
+    use super::*;
+    use crate::numeric::Random;
+
+    /// A made-up picture: `frames` × `cells` cells, each seen by three of `columns` Gaussians.
+    pub(crate) fn made_up_operator(frames: u32, cells: usize, columns: usize, seed: u64) -> AlbedoOperator {
+        let mut random = Random::new(seed);
+        let rows = frames as usize * cells;
+        let mut operator = AlbedoOperator {
+            column_count: columns,
+            frames: (0..frames).collect(),
+            row_offsets: (0..=frames).map(|f| f * cells as u32).collect(),
+            entry_offsets: (0..=rows as u32).map(|r| r * 3).collect(),
+            ..AlbedoOperator::default()
+        };
+        for _ in 0..rows {
+            let base = 0.1 + 0.4 * random.unit();
+            operator.base.push(base as f32);
+            operator.target.push((base + 0.02 * random.normal()).max(0.01) as f32);
+            operator.pixels.push(64.0);
+            for _ in 0..3 {
+                operator.columns.push(random.below(columns) as u32);
+                operator.weights.push(0.3 * random.unit() as f32);
+            }
+        }
+        operator.checked().unwrap()
+    }
+
+    #[test]
+    fn surrogate_touches_the_exact_loss_at_zero_and_bounds_it_near() {
+        let operator = made_up_operator(4, 50, 6, 5);
+        let group_of: Vec<usize> = (0..6).collect();
+        let surrogate = RenderLoss::new(&operator, &group_of, 6).unwrap();
+        let zero = vec![0.0; 24];
+        let at_zero = surrogate.loss(&zero, 1.0, &mut vec![0.0; 24]);
+        assert!((at_zero - exact_l1(&operator, &zero)).abs() < 1e-6);
+        let mut random = Random::new(8);
+        for _ in 0..20 {
+            let x: Vec<f64> = (0..24).map(|_| 0.005 * random.normal()).collect();
+            let (above, exact) = (surrogate.loss(&x, 1.0, &mut vec![0.0; 24]), exact_l1(&operator, &x));
+            assert!(above > exact - 1e-5 && above < exact + 0.01, "{above} {exact}");
+        }
+    }
+
+    #[test]
+    fn gradient_matches_finite_differences() {
+        let operator = made_up_operator(3, 20, 5, 6);
+        let surrogate = RenderLoss::new(&operator, &[0, 1, 0, 1, 1], 2).unwrap();
+        let x = [0.003, -0.002, 0.001, 0.004, -0.004, 0.0];
+        let mut gradient = [0.0; 6];
+        surrogate.loss(&x, 1.0, &mut gradient);
+        for k in 0..6 {
+            let (h, mut up, mut down) = (1e-6, x, x);
+            up[k] += h;
+            down[k] -= h;
+            let slope = (surrogate.loss(&up, 1.0, &mut [0.0; 6]) - surrogate.loss(&down, 1.0, &mut [0.0; 6])) / (2.0 * h);
+            assert!((slope - gradient[k]).abs() < 1e-8);
+        }
+        assert!(RenderLoss::new(&operator, &[0, 1], 2).is_err());
+    }
+}
