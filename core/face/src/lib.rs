@@ -7,6 +7,7 @@ mod error;
 mod model;
 pub mod nets;
 mod observations;
+mod procedural;
 mod skinning;
 mod track;
 
