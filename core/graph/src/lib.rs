@@ -37,19 +37,31 @@
 //! }
 //! ```
 
+#[cfg(test)]
+extern crate self as heartian_graph;
+
 mod artifacts;
 mod context;
+mod diagnostic;
 mod files;
+mod graph;
 mod node;
 mod params;
+mod plan;
 mod registry;
+mod syntax;
 
 pub use artifacts::{AnyArtifact, Inputs, Outputs};
 pub use context::{Cancel, Context, Event, Observer, Progress, Status};
+pub use diagnostic::{Place, Problem, Problems, Source};
 pub use files::Files;
+pub use graph::{Graph, GraphError};
 pub use node::{Node, NodeError, ParamError, Port, SourceFile};
 pub use params::{ParamDoc, Params};
+pub use plan::{Plan, PlanInput, PlanNode};
 pub use registry::{ErasedNode, NodeKind, Registry};
+
+pub use syntax::Span;
 
 #[doc(hidden)]
 pub use {inventory, serde};

@@ -40,8 +40,8 @@ pub trait Node: Params {
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError>;
 }
 
-/// A typed connection point. An optional input may be left unwired; an optional output may be left unwritten, and then
-/// feeds only optional inputs.
+/// A typed connection point. An optional input may be left unwired; an optional output may be left unwritten, which a
+/// required input that it feeds reports when the run gets there.
 #[derive(Clone, Copy, Debug)]
 pub struct Port {
     /// Name, unique among the node's inputs or outputs.

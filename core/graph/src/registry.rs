@@ -8,6 +8,7 @@ use crate::artifacts::{Inputs, Outputs};
 use crate::context::Context;
 use crate::node::{Node, NodeError, ParamError, Port, SourceFile};
 use crate::params::ParamDoc;
+use crate::syntax::{DeError, Fields, Spanned};
 
 /// A node with its parameters set, its type forgotten.
 pub trait ErasedNode: Send + Sync {
@@ -60,7 +61,8 @@ pub struct NodeKind {
     pub outputs: &'static [Port],
     /// Its parameters.
     pub params: &'static [ParamDoc],
-    pub(crate) default: fn() -> Box<dyn ErasedNode>,
+    default: fn() -> Box<dyn ErasedNode>,
+    build: fn(Fields<'_>) -> Result<Box<dyn ErasedNode>, DeError>,
 }
 
 impl NodeKind {
@@ -74,12 +76,18 @@ impl NodeKind {
             outputs: N::OUTPUTS,
             params: N::PARAMS,
             default: || Box::new(N::default()),
+            build: |fields| Ok(Box::new(N::deserialize(fields)?)),
         }
     }
 
     /// A node with default parameters.
     pub fn default_node(&self) -> Box<dyn ErasedNode> {
         (self.default)()
+    }
+
+    /// A node with these parameters, the others by default.
+    pub(crate) fn build(&self, params: &[(&str, &Spanned)]) -> Result<Box<dyn ErasedNode>, DeError> {
+        (self.build)(Fields(params))
     }
 
     /// The input of that name.
