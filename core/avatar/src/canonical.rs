@@ -6,6 +6,7 @@
 //! flat along it. (Differs from the baseline, which takes the shortest axis and so lets the normal jump when two scales
 //! cross.) The same struct holds gradients and optimiser moments.
 
+use heartian_splat::sigmoid;
 use rayon::prelude::*;
 
 use crate::rig::JOINTS;
@@ -170,22 +171,6 @@ impl Canonical {
     }
 }
 
-/// Logistic function, stable at both ends.
-pub fn sigmoid(logit: f32) -> f32 {
-    if logit >= 0.0 {
-        1.0 / (1.0 + (-logit).exp())
-    } else {
-        let e = logit.exp();
-        e / (1.0 + e)
-    }
-}
-
-/// Inverse of [`sigmoid`] for a probability clamped into [1e-4, 1 − 1e-4].
-pub fn logit(probability: f32) -> f32 {
-    let p = probability.clamp(1e-4, 1.0 - 1e-4);
-    (p / (1.0 - p)).ln()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -204,14 +189,5 @@ mod tests {
         assert_eq!(canonical.first_not_finite(), None);
         canonical.weights[6] = f32::NAN;
         assert_eq!(canonical.first_not_finite(), Some(1));
-    }
-
-    #[test]
-    fn logits_invert() {
-        for p in [1e-3f32, 0.2, 0.5, 0.97] {
-            assert!((sigmoid(logit(p)) - p).abs() < 1e-6);
-        }
-        assert!(logit(0.0).is_finite() && logit(1.0).is_finite());
-        assert!(sigmoid(-200.0) >= 0.0 && sigmoid(200.0) <= 1.0);
     }
 }

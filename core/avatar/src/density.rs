@@ -1,0 +1,172 @@
+//! Density control under a budget: Gaussians are taken from where no pixel needs them and put where pixels pull hardest.
+//!
+//! Between two rounds the projected-centre gradients and the blend weights of the frames drawn are collected. A round
+//! drops what contributes least, then splits the Gaussians with the largest mean gradient: a large one into two smaller
+//! ones along its longer tangent axis, a small one into two in place. Nothing is random, so equal runs are equal.
+
+use heartian_splat::{SceneGradients, logit, sigmoid};
+
+use crate::canonical::Canonical;
+
+/// A Gaussian whose largest share of any frame is less than this many pixels is dropped.
+const LEAST_PIXELS: f32 = 0.02;
+/// A Gaussian below this opacity is dropped.
+const LEAST_OPACITY: f32 = 0.02;
+/// At most this part of the Gaussians is split in one round.
+const MOST_SPLIT: f32 = 0.06;
+/// Children of a split are this much smaller along the split axis, and lie half a standard deviation to either side.
+const CHILD_SHRINK: f32 = 1.6;
+
+/// What happened to each Gaussian between two rounds.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Statistics {
+    gradient_sum: Vec<f32>,
+    frames: Vec<u32>,
+    most_pixels: Vec<f32>,
+}
+
+impl Statistics {
+    /// Nothing seen yet of `count` Gaussians.
+    pub fn new(count: usize) -> Self {
+        Self { gradient_sum: vec![0.0; count], frames: vec![0; count], most_pixels: vec![0.0; count] }
+    }
+
+    /// Adds one frame.
+    pub fn add(&mut self, gradients: &SceneGradients) {
+        for (index, ([gx, gy], weight)) in gradients.means_px.iter().zip(&gradients.weights).enumerate() {
+            if *weight > 0.0 && gx.is_finite() && gy.is_finite() {
+                self.gradient_sum[index] += gx.hypot(*gy);
+                self.frames[index] += 1;
+                self.most_pixels[index] = self.most_pixels[index].max(*weight);
+            }
+        }
+    }
+
+    /// Mean gradient over the frames in which the Gaussian was drawn.
+    fn pull(&self, index: usize) -> f32 {
+        self.gradient_sum[index] / self.frames[index].max(1) as f32
+    }
+}
+
+/// One round: the new Gaussians and, for each, the old one whose moments it keeps.
+pub(crate) struct Round {
+    pub canonical: Canonical,
+    pub kept: Vec<Option<u32>>,
+}
+
+/// Prunes and splits; the result has at most `budget` Gaussians and never none if there was one worth keeping.
+pub(crate) fn control(canonical: &Canonical, statistics: &Statistics, budget: usize) -> Round {
+    let alive: Vec<u32> = (0..canonical.len() as u32)
+        .filter(|&index| {
+            let i = index as usize;
+            let unseen = statistics.frames[i] > 0 && statistics.most_pixels[i] < LEAST_PIXELS;
+            !unseen && statistics.frames[i] > 0 && canonical.opacity(i) >= LEAST_OPACITY
+        })
+        .collect();
+    let room = budget.saturating_sub(alive.len()).min((MOST_SPLIT * alive.len() as f32) as usize);
+    let mut by_pull = alive.clone();
+    by_pull.sort_by(|&a, &b| statistics.pull(b as usize).total_cmp(&statistics.pull(a as usize)).then(a.cmp(&b)));
+    by_pull.truncate(room);
+    let mut next = canonical.gather(&alive);
+    let mut kept: Vec<Option<u32>> = alive.iter().map(|&index| Some(index)).collect();
+    for parent in by_pull {
+        let Ok(row) = alive.binary_search(&parent) else { continue };
+        let child = split(&mut next, row);
+        append(&mut next, &child);
+        kept[row] = None;
+        kept.push(None);
+    }
+    Round { canonical: next, kept }
+}
+
+/// Shrinks the Gaussian at `row` and moves it half a deviation along its longer tangent axis; returns its twin on the
+/// other side. Opacity is shared out so that the pair covers about what the parent did.
+fn split(canonical: &mut Canonical, row: usize) -> Canonical {
+    let scales: [f32; 3] = std::array::from_fn(|i| canonical.log_scales[3 * row + i]);
+    let axis = usize::from(scales[1] > scales[0]);
+    let direction = local_axis(canonical, row, axis);
+    let offset = 0.5 * scales[axis].exp();
+    canonical.log_scales[3 * row + axis] -= CHILD_SHRINK.ln();
+    let opacity = sigmoid(canonical.opacity_logits[row]);
+    canonical.opacity_logits[row] = logit(1.0 - (1.0 - opacity).powf(0.8));
+    let mut twin = canonical.gather(&[row as u32]);
+    for i in 0..3 {
+        canonical.positions[3 * row + i] += offset * direction[i];
+        twin.positions[i] -= offset * direction[i];
+    }
+    twin
+}
+
+/// Column `axis` of the rotation matrix of a Gaussian's quaternion.
+fn local_axis(canonical: &Canonical, row: usize, axis: usize) -> [f32; 3] {
+    let q: [f32; 4] = std::array::from_fn(|i| canonical.rotations[4 * row + i]);
+    let q = glam::Quat::from_xyzw(q[1], q[2], q[3], q[0]);
+    let unit = if q.length_squared() > 1e-12 { q.normalize() } else { glam::Quat::IDENTITY };
+    (unit * glam::Vec3::AXES[axis]).to_array()
+}
+
+fn append(canonical: &mut Canonical, rows: &Canonical) {
+    for (to, from) in canonical.groups_mut().into_iter().zip(rows.groups()) {
+        to.extend_from_slice(from);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(count: usize) -> Canonical {
+        let mut canonical = Canonical::zeros(count, 2);
+        canonical.opacity_logits.fill(2.0);
+        canonical.log_scales.fill(-6.0);
+        canonical.rotations.chunks_mut(4).for_each(|q| q[0] = 1.0);
+        for (index, x) in canonical.positions.iter_mut().enumerate() {
+            *x = index as f32;
+        }
+        canonical
+    }
+
+    fn seen(pull: &[f32], pixels: &[f32]) -> Statistics {
+        let mut statistics = Statistics::new(pull.len());
+        statistics.add(&SceneGradients {
+            means_px: pull.iter().map(|p| [*p, 0.0]).collect(),
+            weights: pixels.to_vec(),
+            ..SceneGradients::default()
+        });
+        statistics
+    }
+
+    #[test]
+    fn what_no_pixel_needs_goes_and_the_hardest_pulled_splits() {
+        let mut canonical = scene(40);
+        canonical.opacity_logits[3] = -8.0;
+        let mut pull = vec![0.1; 40];
+        pull[7] = 5.0;
+        pull[9] = f32::NAN;
+        let mut pixels = vec![1.0; 40];
+        pixels[5] = 0.0;
+        pixels[6] = 1e-4;
+        let round = control(&canonical, &seen(&pull, &pixels), 39);
+        assert!(round.canonical.is_consistent() && round.canonical.first_not_finite().is_none());
+        for gone in [3, 5, 6, 9] {
+            assert!(!round.kept.contains(&Some(gone)), "{gone}");
+        }
+        assert_eq!(round.canonical.len(), round.kept.len());
+        assert_eq!(round.kept.iter().filter(|k| k.is_none()).count(), 4, "two parents, two twins");
+        let total: f32 = (0..round.canonical.len())
+            .filter(|i| round.kept[*i].is_none())
+            .map(|i| round.canonical.positions[3 * i])
+            .filter(|x| (x - 21.0).abs() < 0.1)
+            .sum();
+        assert!((total - 42.0).abs() < 1e-3, "the children lie to either side of the parent");
+    }
+
+    #[test]
+    fn the_budget_holds() {
+        let canonical = scene(100);
+        for budget in [0, 50, 100, 103, 1000] {
+            let round = control(&canonical, &seen(&[1.0; 100], &[1.0; 100]), budget);
+            assert!(round.canonical.len() <= budget.max(100));
+        }
+    }
+}

@@ -1,0 +1,252 @@
+//! Joint refinement of the training frames' poses, smooth in time, and what it teaches about all other frames.
+//!
+//! Every training frame has an offset to its tracked numbers (pose, then motion coefficients), moved by Adam on the
+//! picture's gradient. After each visit the refined number is drawn a little toward the cubic through its four
+//! neighbours, so steady motion is untouched and jitter is not: what is left of it would compete with the pulse.
+//! Frames outside training get the tracked pose plus one global affine correction fitted (ridge) to the training
+//! offsets; their pictures are never used.
+
+use crate::motion::FrameState;
+use crate::rig::POSE_SIZE;
+
+/// Exponential forgetting of Adam's moments; frames are visited a few tens of times only.
+const BETA: [f64; 2] = [0.8, 0.95];
+/// Ridge added to the normal equations of the global correction, per frame, in units of the drivers' variance.
+const RIDGE: f64 = 0.3;
+/// Drivers of the global correction: rotation, translation and the jaw's opening.
+const DRIVERS: [usize; 7] = [0, 1, 2, 3, 4, 5, 9];
+
+/// How far and how smoothly poses may move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefineOptions {
+    /// Step of rotation, translation, neck, jaw and eyes (radians, metres) at the start; 0 keeps the tracked numbers.
+    pub pose_rates: [f64; 6],
+    /// Step of the motion coefficients at the start.
+    pub coefficient_rate: f64,
+    /// Share by which a pose number is drawn to its neighbours' cubic at each visit, in [0, 1].
+    pub pose_smoothing: f64,
+    /// The same for the motion coefficients; less, because lids and lips are quick.
+    pub coefficient_smoothing: f64,
+}
+
+impl Default for RefineOptions {
+    fn default() -> Self {
+        Self {
+            pose_rates: [2e-4, 1e-4, 0.0, 1e-3, 2e-3, 2e-3],
+            coefficient_rate: 0.01,
+            pose_smoothing: 0.1,
+            coefficient_smoothing: 0.03,
+        }
+    }
+}
+
+/// Offsets of the training frames and their moments.
+pub(crate) struct Refiner {
+    options: RefineOptions,
+    /// The tracked numbers of every frame of the clip, `T × D`.
+    tracked: Vec<Vec<f64>>,
+    /// `training × D`.
+    offsets: Vec<Vec<f64>>,
+    first: Vec<Vec<f64>>,
+    second: Vec<Vec<f64>>,
+    visits: Vec<i32>,
+}
+
+fn numbers(state: &FrameState) -> Vec<f64> {
+    state.pose.iter().copied().chain(state.coefficients.iter().map(|c| f64::from(*c))).collect()
+}
+
+fn state(numbers: impl Iterator<Item = f64>) -> FrameState {
+    let mut pose = [0.0; POSE_SIZE];
+    let mut coefficients = Vec::new();
+    for (index, number) in numbers.enumerate() {
+        match pose.get_mut(index) {
+            Some(slot) => *slot = number,
+            None => coefficients.push(number as f32),
+        }
+    }
+    FrameState { pose, coefficients }
+}
+
+impl Refiner {
+    /// No offsets yet. The first `training` frames of the clip are those that may move.
+    pub fn new(states: &[FrameState], training: usize, options: RefineOptions) -> Self {
+        let tracked: Vec<Vec<f64>> = states.iter().map(numbers).collect();
+        let zeros = vec![vec![0.0; tracked.first().map_or(POSE_SIZE, Vec::len)]; training];
+        Self {
+            options,
+            tracked,
+            offsets: zeros.clone(),
+            first: zeros.clone(),
+            second: zeros,
+            visits: vec![0; training],
+        }
+    }
+
+    /// The refined state of a training frame.
+    pub fn state(&self, frame: usize) -> FrameState {
+        state(self.tracked[frame].iter().zip(&self.offsets[frame]).map(|(a, b)| a + b))
+    }
+
+    /// One step for one frame; `gradient` is with respect to the pose and then the coefficients.
+    pub fn step(&mut self, frame: usize, gradient: impl Iterator<Item = f64>, decay: f64) {
+        self.visits[frame] += 1;
+        let correction = BETA.map(|beta| 1.0 / (1.0 - beta.powi(self.visits[frame])));
+        for (index, g) in gradient.enumerate() {
+            let rate = decay * self.rate(index);
+            if rate == 0.0 || !g.is_finite() {
+                continue;
+            }
+            let (m, v) = (&mut self.first[frame][index], &mut self.second[frame][index]);
+            *m = BETA[0] * *m + (1.0 - BETA[0]) * g;
+            *v = BETA[1] * *v + (1.0 - BETA[1]) * g * g;
+            self.offsets[frame][index] -= rate * *m * correction[0] / ((*v * correction[1]).sqrt() + 1e-12);
+        }
+        self.smooth(frame);
+    }
+
+    fn rate(&self, index: usize) -> f64 {
+        if index < POSE_SIZE { self.options.pose_rates[index / 3] } else { self.options.coefficient_rate }
+    }
+
+    /// Draws the frame toward the cubic through two neighbours on either side.
+    fn smooth(&mut self, frame: usize) {
+        if frame < 2 || frame + 2 >= self.offsets.len() {
+            return;
+        }
+        for index in 0..self.offsets[frame].len() {
+            let share =
+                if index < POSE_SIZE { self.options.pose_smoothing } else { self.options.coefficient_smoothing };
+            if self.rate(index) == 0.0 || share == 0.0 {
+                continue;
+            }
+            let at = |t: usize| self.tracked[t][index] + self.offsets[t][index];
+            let cubic = (4.0 * (at(frame - 1) + at(frame + 1)) - at(frame - 2) - at(frame + 2)) / 6.0;
+            self.offsets[frame][index] += share * (cubic - at(frame));
+        }
+    }
+
+    /// States of every frame of the clip: refined ones, and tracked ones with the global correction.
+    pub fn all_states(&self) -> Vec<FrameState> {
+        let correction = self.global_correction();
+        (0..self.tracked.len())
+            .map(|t| {
+                if t < self.offsets.len() {
+                    return self.state(t);
+                }
+                let drivers = drivers(&self.tracked[t]);
+                let offset = |index: usize| -> f64 { correction[index].iter().zip(&drivers).map(|(c, d)| c * d).sum() };
+                state(self.tracked[t].iter().enumerate().map(|(index, value)| value + offset(index)))
+            })
+            .collect()
+    }
+
+    /// Ridge regression of every offset on the drivers: `D × 8` coefficients.
+    fn global_correction(&self) -> Vec<Vec<f64>> {
+        const N: usize = DRIVERS.len() + 1;
+        let count = self.offsets.len();
+        let width = self.tracked.first().map_or(0, Vec::len);
+        let rows: Vec<Vec<f64>> = self.tracked[..count].iter().map(|t| drivers(t)).collect();
+        let mean: Vec<f64> = (0..N).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / count.max(1) as f64).collect();
+        let mut covariance = [[0.0; N]; N];
+        let mut cross = vec![[0.0; N]; width];
+        let mut offset_mean = vec![0.0; width];
+        for (row, offsets) in rows.iter().zip(&self.offsets) {
+            for (index, offset) in offsets.iter().enumerate() {
+                offset_mean[index] += offset / count as f64;
+                for k in 1..N {
+                    cross[index][k] += offset * (row[k] - mean[k]) / count as f64;
+                }
+            }
+            for i in 1..N {
+                for j in 1..N {
+                    covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count as f64;
+                }
+            }
+        }
+        covariance[0][0] = 1.0;
+        for (k, row) in covariance.iter_mut().enumerate().skip(1) {
+            row[k] += RIDGE * row[k] + 1e-12;
+        }
+        (0..width)
+            .map(|index| {
+                let mut solved = solve(covariance, cross[index]);
+                solved[0] = offset_mean[index] - (1..N).map(|k| solved[k] * mean[k]).sum::<f64>();
+                solved.to_vec()
+            })
+            .collect()
+    }
+}
+
+/// One, then the driving numbers of a tracked frame.
+fn drivers(tracked: &[f64]) -> Vec<f64> {
+    std::iter::once(1.0).chain(DRIVERS.iter().map(|&index| tracked[index])).collect()
+}
+
+/// Solves a symmetric positive definite system by Cholesky's decomposition.
+fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
+    for i in 0..N {
+        for j in 0..=i {
+            let dot: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
+            a[i][j] = if i == j { (a[i][i] - dot).max(1e-30).sqrt() } else { (a[i][j] - dot) / a[j][j] };
+        }
+    }
+    for i in 0..N {
+        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    for i in (0..N).rev() {
+        b[i] = (b[i] - (i + 1..N).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A clip whose tracked translation carries jitter and a constant bias against the truth.
+    fn shaky(count: usize) -> (Vec<FrameState>, Vec<f64>) {
+        let truth: Vec<f64> = (0..count).map(|t| 0.02 * (t as f64 * 0.15).sin()).collect();
+        let states = truth
+            .iter()
+            .enumerate()
+            .map(|(t, x)| {
+                let mut pose = [0.0; POSE_SIZE];
+                pose[3] = x + 8e-4 + 4e-4 * ((t * 7919 % 13) as f64 / 6.0 - 1.0);
+                FrameState { pose, coefficients: vec![0.0] }
+            })
+            .collect();
+        (states, truth)
+    }
+
+    #[test]
+    fn refinement_removes_bias_and_jitter_and_carries_the_bias_to_frames_it_never_saw() {
+        let (states, truth) = shaky(120);
+        let mut refiner = Refiner::new(&states, 100, RefineOptions::default());
+        for visit in 0..6000 {
+            let frame = visit * 37 % 100;
+            let error = refiner.state(frame).pose[3] - truth[frame];
+            let gradient = (0..POSE_SIZE + 1).map(|i| if i == 3 { error } else { 0.0 });
+            refiner.step(frame, gradient, 0.02f64.powf(visit as f64 / 6000.0));
+        }
+        let refined = refiner.all_states();
+        let error = |t: usize| refined[t].pose[3] - truth[t];
+        assert!((2..98).all(|t| error(t).abs() < 1e-4), "trained");
+        let bias = (100..120).map(error).sum::<f64>() / 20.0;
+        assert!(bias.abs() < 2e-4, "not trained: a bias of 0.8 mm became {bias}");
+        let jitter = |x: &dyn Fn(usize) -> f64| -> f64 {
+            (3..97).map(|t| (x(t - 1) - 2.0 * x(t) + x(t + 1)).powi(2)).sum::<f64>().sqrt()
+        };
+        assert!(jitter(&|t| refined[t].pose[3]) < 0.5 * jitter(&|t| states[t].pose[3]));
+    }
+
+    #[test]
+    fn a_poisoned_gradient_changes_nothing() {
+        let (states, _) = shaky(10);
+        let mut refiner = Refiner::new(&states, 10, RefineOptions::default());
+        for t in 0..10 {
+            refiner.step(t, [f64::NAN, f64::INFINITY].into_iter().cycle().take(POSE_SIZE + 1), 1.0);
+        }
+        assert!(refiner.all_states().iter().all(|s| s.pose.iter().all(|v| v.is_finite())));
+    }
+}
