@@ -3,8 +3,8 @@
 //! Nothing here may change what a node computes, except `seed`, which is in the cache key.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// One report of a long computation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,7 +118,8 @@ pub struct Context {
 impl Context {
     /// A context for the node `node`.
     pub fn new(node: &str, seed: u64, cancel: Cancel, observer: Arc<dyn Observer>) -> Self {
-        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        static THREADS: OnceLock<usize> = OnceLock::new();
+        let threads = *THREADS.get_or_init(|| std::thread::available_parallelism().map_or(1, usize::from));
         Self { node: node.into(), seed, threads, cancel, observer }
     }
 

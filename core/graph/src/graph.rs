@@ -42,6 +42,8 @@ pub(crate) struct NodeSpec {
     pub kind: Located<String>,
     pub params: Vec<(Located<String>, ParamValue)>,
     pub inputs: Vec<WireSpec>,
+    /// Some part of it could not be read, which is reported; checking the rest would invent mistakes.
+    pub broken: bool,
 }
 
 /// A graph, overlays merged.
@@ -54,6 +56,8 @@ pub struct Graph {
     pub(crate) exports: Vec<Located<String>>,
     pub(crate) nodes: Vec<NodeSpec>,
     index: HashMap<String, usize>,
+    /// What is wrong so far; [`Graph::plan`] adds its own.
+    pub(crate) problems: Problems,
 }
 
 /// Why a graph is not usable.
@@ -76,10 +80,11 @@ pub enum GraphError {
 }
 
 impl Graph {
-    /// Reads a graph file and the files it extends.
+    /// Reads a graph file and the files it extends. What can be read past is kept for [`Graph::plan`] to report with the
+    /// rest.
     ///
     /// # Errors
-    /// All that is wrong with the text, at once.
+    /// When a file cannot be read or is not RON.
     pub fn load(path: &Path) -> Result<Self, GraphError> {
         overlay::load(path)
     }
@@ -87,7 +92,7 @@ impl Graph {
     /// Reads a graph from text; `name` stands for the file in errors and is where `extends` is looked up from.
     ///
     /// # Errors
-    /// All that is wrong with the text, at once.
+    /// When a file cannot be read or is not RON.
     pub fn parse(name: &str, text: &str) -> Result<Self, GraphError> {
         overlay::parse(Path::new(name), text.to_owned())
     }
@@ -126,11 +131,14 @@ impl Graph {
     }
 
     /// Applies `node.param=value` from the command line. The value is RON; what is not RON, or does not fit the
-    /// parameter, is taken as a string.
-    ///
-    /// # Errors
-    /// When the argument has another form or names an unknown node.
-    pub fn set(&mut self, argument: &str) -> Result<(), Problem> {
+    /// parameter, is taken as a string. Mistakes are kept for [`Graph::plan`] to report.
+    pub fn set(&mut self, argument: &str) {
+        if let Err(problem) = self.try_set(argument) {
+            self.problems.push(problem);
+        }
+    }
+
+    fn try_set(&mut self, argument: &str) -> Result<(), Problem> {
         let source = Source::new("--set", argument.to_owned());
         let place = |start: usize, end: usize| Place { source: source.clone(), span: Span { start, end } };
         let whole = place(0, argument.len());

@@ -41,19 +41,25 @@
 extern crate self as heartian_graph;
 
 mod artifacts;
+mod cache;
 mod context;
 mod diagnostic;
+mod digest;
 mod files;
 mod graph;
+mod key;
 mod node;
 mod params;
 mod plan;
 mod registry;
+mod scheduler;
 mod syntax;
 
 pub use artifacts::{AnyArtifact, Inputs, Outputs};
+pub use cache::{Cache, CacheError, Output, Record};
 pub use context::{Cancel, Context, Event, Observer, Progress, Status};
 pub use diagnostic::{Place, Problem, Problems, Source};
+pub use digest::Digest;
 pub use files::Files;
 pub use graph::{Graph, GraphError};
 pub use node::{Node, NodeError, ParamError, Port, SourceFile};
@@ -61,6 +67,7 @@ pub use params::{ParamDoc, Params};
 pub use plan::{Plan, PlanInput, PlanNode};
 pub use registry::{ErasedNode, NodeKind, Registry};
 
+pub use scheduler::{NodeReport, Run, RunOptions, load};
 pub use syntax::Span;
 
 #[doc(hidden)]

@@ -81,8 +81,9 @@ impl Graph {
     /// # Errors
     /// All that is wrong, at once.
     pub fn plan(&self, registry: &Registry, targets: &[String]) -> Result<Plan, Problems> {
-        let mut problems = Problems::default();
-        let kinds: Vec<Option<&NodeKind>> = self.nodes.iter().map(|node| find_kind(node, registry, &mut problems)).collect();
+        let mut problems = self.problems.clone();
+        let kinds: Vec<Option<&NodeKind>> =
+            self.nodes.iter().map(|node| find_kind(node, registry, &mut problems)).collect();
         let nodes = self.nodes.iter().zip(&kinds);
         let mut built: Vec<Option<Built>> =
             nodes.map(|(node, kind)| kind.and_then(|kind| params::build(node, kind, &mut problems))).collect();
@@ -152,6 +153,9 @@ fn find_kind<'r>(
     registry: &'r Registry,
     problems: &mut Problems,
 ) -> Option<&'r NodeKind> {
+    if node.broken {
+        return None;
+    }
     let kind = registry.get(&node.kind.value);
     if kind.is_none() {
         let known = registry.iter().map(|kind| kind.kind);
@@ -166,7 +170,8 @@ fn check_sources(id: &str, built: &Built, id_place: &Place, problems: &mut Probl
         let Err(error) = std::fs::metadata(&source.path) else { continue };
         let place = built.params.get(source.parameter).unwrap_or(id_place);
         let path = source.path.display();
-        let message = format!("node `{id}`: parameter `{}` names `{path}`, which cannot be read: {error}", source.parameter);
+        let message =
+            format!("node `{id}`: parameter `{}` names `{path}`, which cannot be read: {error}", source.parameter);
         let default = "check the path; it is relative to the current directory".to_owned();
         problems.push(Problem::new(place, message).help(source.remedy.unwrap_or(default)));
     }

@@ -44,8 +44,14 @@ pub(crate) enum Tree {
     Word(String),
     List(Vec<Spanned>),
     Map(Vec<(Spanned, Spanned)>),
-    Tuple { name: Option<Name>, items: Vec<Spanned> },
-    Struct { name: Option<Name>, fields: Vec<(Name, Spanned)> },
+    Tuple {
+        name: Option<Name>,
+        items: Vec<Spanned>,
+    },
+    Struct {
+        name: Option<Name>,
+        fields: Vec<(Name, Spanned)>,
+    },
 }
 
 impl Tree {

@@ -15,6 +15,8 @@ pub(super) struct NodeEntry {
     pub kind: Option<Located<String>>,
     pub params: Vec<(Located<String>, ParamValue)>,
     pub inputs: Vec<WireSpec>,
+    /// Some part could not be read, which is reported.
+    pub broken: bool,
 }
 
 /// One file.
@@ -27,6 +29,8 @@ pub(super) struct Document {
     pub remove: Vec<Located<String>>,
     pub exports: Option<Vec<Located<String>>>,
     pub nodes: Vec<NodeEntry>,
+    /// The text is not RON, which is reported; nothing of it is here.
+    pub unreadable: bool,
 }
 
 const GRAPH_FIELDS: [&str; 7] = ["name", "doc", "seed", "extends", "remove", "exports", "nodes"];
@@ -40,7 +44,7 @@ pub(super) fn read_document(source: &Arc<Source>, problems: &mut Problems) -> Do
         Err(SyntaxError { span, message, help }) => {
             let problem = Problem::new(&reader.place(span), message).maybe_help(help);
             reader.problems.push(problem);
-            Document::default()
+            Document { unreadable: true, ..Document::default() }
         }
     }
 }
@@ -177,11 +181,12 @@ impl Reader<'_> {
     }
 
     fn node(&mut self, id: Located<String>, value: &Spanned) -> NodeEntry {
+        let before = self.problems.0.len();
         if id.value.is_empty() || id.value.contains(['.', '=', '/']) || id.value.chars().any(char::is_whitespace) {
             let problem = Problem::new(&id.place, format!("`{}` cannot be a node's id", id.value));
             self.problems.push(problem.help("use letters, digits, `_` and `-`"));
         }
-        let mut entry = NodeEntry { id, kind: None, params: Vec::new(), inputs: Vec::new() };
+        let mut entry = NodeEntry { id, kind: None, params: Vec::new(), inputs: Vec::new(), broken: false };
         for (name, value) in self.fields("`(kind: .., params: (..), inputs: {..})`", value) {
             match name.text.as_str() {
                 "kind" => entry.kind = self.text("a kind of node as a string", value),
@@ -193,6 +198,7 @@ impl Reader<'_> {
                 _ => self.unknown(name, &NODE_FIELDS, "a node"),
             }
         }
+        entry.broken = self.problems.0.len() > before;
         entry
     }
 

@@ -22,8 +22,15 @@ pub(super) fn load(path: &Path) -> Result<Graph, GraphError> {
 pub(super) fn parse(path: &Path, text: String) -> Result<Graph, GraphError> {
     let mut problems = Problems::default();
     let chain = read_chain(path, text, &mut problems);
-    let graph = merge(chain, &mut problems);
-    Ok(problems.or(graph)?)
+    // A base that could not be read would make every mention of its nodes a second, false mistake.
+    let complete = chain.iter().all(|(_, document)| !document.unreadable)
+        && chain.last().is_some_and(|(_, document)| document.extends.is_none());
+    if !complete {
+        return Err(problems.into());
+    }
+    let mut graph = merge(chain, &mut problems);
+    graph.problems = problems;
+    Ok(graph)
 }
 
 fn read_text(path: &Path) -> Result<String, String> {
@@ -80,17 +87,16 @@ fn merge(chain: Vec<(Arc<Source>, Document)>, problems: &mut Problems) -> Graph 
         exports: Vec::new(),
         nodes: Vec::new(),
         index: HashMap::new(),
+        problems: Problems::default(),
     };
-    // A base that could not be read would make every mention of its nodes a second, false error.
-    let complete = chain.last().is_some_and(|(_, document)| document.extends.is_none());
     for (_, document) in chain.into_iter().rev() {
-        overlay(&mut graph, document, complete, problems);
+        overlay(&mut graph, document, problems);
     }
     graph
 }
 
-fn overlay(graph: &mut Graph, document: Document, complete: bool, problems: &mut Problems) {
-    remove(graph, &document.remove, complete, problems);
+fn overlay(graph: &mut Graph, document: Document, problems: &mut Problems) {
+    remove(graph, &document.remove, problems);
     graph.name = document.name.unwrap_or(std::mem::take(&mut graph.name));
     graph.doc = document.doc.unwrap_or(std::mem::take(&mut graph.doc));
     graph.seed = document.seed.unwrap_or(graph.seed);
@@ -100,40 +106,34 @@ fn overlay(graph: &mut Graph, document: Document, complete: bool, problems: &mut
         match (known, &entry.kind) {
             (Some(index), kind) if kind.as_ref().is_none_or(|kind| kind.value == graph.nodes[index].kind.value) => {
                 let node = &mut graph.nodes[index];
+                node.broken |= entry.broken;
                 entry.params.into_iter().for_each(|(name, value)| node.set_param(name, value));
                 entry.inputs.into_iter().for_each(|wire| node.set_wire(wire));
             }
-            (Some(index), Some(_)) => replace(graph, index, entry),
-            (None, Some(_)) => {
+            (Some(index), _) => graph.nodes[index] = whole(entry),
+            (None, kind) => {
+                if kind.is_none() && !entry.broken {
+                    let problem = Problem::new(&entry.id.place, format!("node `{}` has no kind", entry.id.value));
+                    let similar = suggest(&entry.id.value, graph.node_ids(), "nodes so far");
+                    problems.push(problem.maybe_help(similar).label("a new node needs `kind: \"..\"`"));
+                }
                 graph.index.insert(entry.id.value.clone(), graph.nodes.len());
-                let index = graph.nodes.len();
-                replace(graph, index, entry);
+                graph.nodes.push(whole(entry));
             }
-            (_, None) if complete => {
-                let problem = Problem::new(&entry.id.place, format!("node `{}` has no kind", entry.id.value));
-                let similar = suggest(&entry.id.value, graph.node_ids(), "nodes so far");
-                problems.push(problem.maybe_help(similar).label("a new node needs `kind: \"..\"`"));
-            }
-            _ => {}
         }
     }
 }
 
-/// Puts a whole node at `index`, which is at most one past the end.
-fn replace(graph: &mut Graph, index: usize, entry: NodeEntry) {
-    let NodeEntry { id, kind, params, inputs } = entry;
-    let Some(kind) = kind else { return };
-    let node = NodeSpec { id, kind, params, inputs };
-    match graph.nodes.get_mut(index) {
-        Some(known) => *known = node,
-        None => graph.nodes.push(node),
-    }
+fn whole(entry: NodeEntry) -> NodeSpec {
+    let NodeEntry { id, kind, params, inputs, broken } = entry;
+    let broken = broken || kind.is_none();
+    NodeSpec { kind: kind.unwrap_or_else(|| id.clone()), id, params, inputs, broken }
 }
 
-fn remove(graph: &mut Graph, ids: &[Located<String>], complete: bool, problems: &mut Problems) {
+fn remove(graph: &mut Graph, ids: &[Located<String>], problems: &mut Problems) {
     let mut removed: HashMap<&str, &Place> = HashMap::new();
     for id in ids {
-        if graph.node_index(&id.value).is_none() && complete {
+        if graph.node_index(&id.value).is_none() {
             let problem = Problem::new(&id.place, format!("there is no node `{}` to remove", id.value));
             problems.push(problem.maybe_help(suggest(&id.value, graph.node_ids(), "nodes")));
         }

@@ -69,7 +69,12 @@ impl Order {
         path.reverse();
         let names: Vec<&str> = path.iter().map(|index| spec.nodes[*index].id.value.as_str()).collect();
         let shown = if names.len() > 20 {
-            format!("{} → … ({} more) … → {}", names[..10].join(" → "), names.len() - 20, names[names.len() - 10..].join(" → "))
+            format!(
+                "{} → … ({} more) … → {}",
+                names[..10].join(" → "),
+                names.len() - 20,
+                names[names.len() - 10..].join(" → ")
+            )
         } else {
             names.join(" → ")
         };

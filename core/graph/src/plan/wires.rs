@@ -19,7 +19,8 @@ pub(super) fn connect(graph: &Graph, kinds: &[Option<&NodeKind>], problems: &mut
             let Some(kind) = kind else { return Vec::new() };
             for wire in &node.inputs {
                 if kind.input(&wire.port.value).is_none() {
-                    let message = format!("node `{}` ({}) has no input `{}`", node.id.value, kind.kind, wire.port.value);
+                    let message =
+                        format!("node `{}` ({}) has no input `{}`", node.id.value, kind.kind, wire.port.value);
                     let known = kind.inputs.iter().map(|port| port.name);
                     let help = suggest(&wire.port.value, known, "inputs").unwrap_or("it reads nothing".into());
                     problems.push(Problem::new(&wire.port.place, message).help(help));
@@ -73,7 +74,8 @@ fn sources(
         let fitting = fitting_outputs(graph, kinds, end);
         let mut problem = Problem::new(&from.place, message).label(format!("this is `{}`", gives.name));
         if gives.name == takes.name {
-            problem = problem.label(format!("form {} of `{}`; form {} is needed", gives.version, gives.name, takes.version));
+            problem =
+                problem.label(format!("form {} of `{}`; form {} is needed", gives.version, gives.name, takes.version));
         }
         let help = (!fitting.is_empty()).then(|| format!("outputs that fit: {}", fitting.join(", ")));
         problems.push(problem.maybe_help(help));

@@ -289,7 +289,9 @@ impl<'a> Reader<'a> {
             _ => 10,
         };
         let is_part = |previous: char, c: char| {
-            c.is_ascii_alphanumeric() || matches!(c, '_' | '.') || (matches!(c, '+' | '-') && matches!(previous, 'e' | 'E'))
+            c.is_ascii_alphanumeric()
+                || matches!(c, '_' | '.')
+                || (matches!(c, '+' | '-') && matches!(previous, 'e' | 'E'))
         };
         let mut previous = ' ';
         while let Some(c) = self.peek().filter(|c| is_part(if radix == 10 { previous } else { ' ' }, *c)) {

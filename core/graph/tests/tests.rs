@@ -1,0 +1,10 @@
+//! The engine on graphs of small number nodes: what is refused and in which words, what runs and what is a hit.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod caching;
+mod errors;
+mod failures;
+mod nodes;
+mod overlays;
+mod reading;
+mod scale;
