@@ -7,21 +7,21 @@ use super::profile::{smoothstep, table};
 /// Height of the mouth line, millimetres.
 pub const MOUTH_Y: f64 = -56.0;
 /// Half width of the mouth in sheet columns (at the reference half width of 75 mm).
-pub const MOUTH_COLUMN: f64 = 30.0;
+pub const MOUTH_COLUMN: f64 = 28.0;
 /// Height of the line through the eye corners.
 pub const EYE_Y: f64 = 15.0;
 /// Inner and outer eye corner in sheet columns.
 pub const EYE_COLUMNS: [f64; 2] = [15.0, 45.0];
 /// Centre of the subject's left eyeball.
-pub const EYE_CENTRE: [f64; 3] = [31.0, 15.0, 68.5];
+pub const EYE_CENTRE: [f64; 3] = [31.0, 15.0, 67.5];
 /// Radius of the eyeball.
 pub const EYE_RADIUS: f64 = 13.0;
 
 /// Mid-sagittal profile from brow to chin: height, depth, width of its influence.
 const PROFILE: [[f64; 3]; 27] = [
-    [-106.0, 70.5, 16.0],
-    [-101.0, 83.0, 17.0],
-    [-95.0, 90.5, 18.0],
+    [-106.0, 76.0, 17.0],
+    [-101.0, 86.5, 18.0],
+    [-95.0, 92.0, 19.0],
     [-88.0, 93.0, 18.0],
     [-80.0, 91.6, 17.0],
     [-74.5, 90.2, 17.0],
@@ -36,15 +36,15 @@ const PROFILE: [[f64; 3]; 27] = [
     [-42.0, 96.6, 20.0],
     [-37.5, 96.0, 15.0],
     [-34.5, 97.6, 11.0],
-    [-31.5, 102.5, 10.0],
-    [-28.5, 108.0, 11.0],
-    [-25.5, 111.6, 11.5],
-    [-22.0, 112.8, 11.5],
-    [-18.0, 111.8, 11.0],
-    [-10.0, 106.6, 9.8],
-    [2.0, 98.8, 8.8],
-    [13.0, 92.6, 8.0],
-    [21.0, 90.6, 8.6],
+    [-31.5, 102.5, 10.5],
+    [-28.5, 108.0, 11.8],
+    [-25.5, 111.6, 12.6],
+    [-22.0, 112.8, 12.8],
+    [-18.0, 111.8, 12.6],
+    [-10.0, 109.0, 12.0],
+    [2.0, 102.8, 11.2],
+    [13.0, 95.6, 10.2],
+    [21.0, 92.6, 10.0],
     [32.0, 95.6, 13.0],
 ];
 
@@ -64,7 +64,7 @@ const BUMPS: [Bump; 19] = [
     bump(14.5, 15.5, 5.5, 9.0, -5.5),    // socket beside the nose
     bump(31.0, 3.0, 13.0, 4.0, -2.4),    // fold under the eye
     bump(32.0, 26.0, 14.0, 4.0, -2.5),   // crease above the lid
-    bump(50.0, 14.0, 6.0, 9.0, -2.0),    // outer rim
+    bump(51.0, 14.0, 7.0, 10.0, -3.5),   // outer rim
     bump(44.0, -10.0, 15.0, 12.0, 4.5),  // cheekbone
     bump(26.0, -20.0, 9.0, 12.0, 1.5),   // cheek beside the nose
     bump(14.2, -26.5, 4.2, 5.2, 8.2),    // wing of the nose
@@ -84,7 +84,8 @@ const BUMPS: [Bump; 19] = [
 /// Opens the slits of the sheet in its own plane: where a grid point at column `x_mm` (sheet columns) and front height
 /// `y_mm` lies in height. `side` is +1 on or above a slit's upper edge, −1 on or below its lower edge.
 pub fn opened_height(column_mm: f64, y_mm: f64, side: f64) -> f64 {
-    opened_mouth(column_mm, opened_eye(column_mm, y_mm, side), side)
+    let bent = if y_mm > EYE_Y + 2.0 { bent_along_brow(column_mm, y_mm) } else { y_mm };
+    opened_mouth(column_mm, opened_eye(column_mm, bent, side), side)
 }
 
 fn opened_eye(column_mm: f64, y_mm: f64, side: f64) -> f64 {
@@ -165,7 +166,8 @@ fn lidded_depth(x: f64, y: f64, z: f64) -> f64 {
     if near == 0.0 {
         return z;
     }
-    let inside = 1.0 - (dx / 17.2).powi(2) - (dy / (EYE_RADIUS + 1.3)).powi(2);
+    let reach = if dx > 0.0 { 16.0 } else { 17.2 };
+    let inside = 1.0 - (dx / reach).powi(2) - (dy / (EYE_RADIUS + 1.3)).powi(2);
     let lid = EYE_CENTRE[2] + (EYE_RADIUS + 1.3) * inside.max(0.02).sqrt();
     z + near * (lid - z)
 }
@@ -188,16 +190,44 @@ pub fn hairline_height(angle: f64) -> f64 {
     table(&LINE, angle.abs().to_degrees())[1]
 }
 
+/// How far a point at a front height and angle lies above the hairline, millimetres along the skin, and the direction in
+/// which it is nearest: change of angle and of height per millimetre.
+pub fn above_hairline(y: f64, angle: f64) -> (f64, [f64; 2]) {
+    const RADIUS: f64 = 72.0;
+    let slope = (hairline_height(angle + 0.01) - hairline_height(angle - 0.01)) / (0.02 * RADIUS);
+    let length = slope.hypot(1.0);
+    ((y - hairline_height(angle)) / length, [-slope / length / RADIUS, 1.0 / length])
+}
+
 /// How far hair lifts the scalp at a front height `y` and angle, millimetres, and whether the point is scalp.
 pub fn hair(y: f64, angle: f64) -> (f64, bool) {
     let above = y - hairline_height(angle);
-    (8.5 * smoothstep(-2.0, 16.0, above), above > 0.0)
+    (8.5 * smoothstep(-1.0, 18.0, above), above > -0.05)
 }
 
-/// Whether a point of the face's front lies in an eyebrow.
-pub fn is_brow(x: f64, y: f64) -> bool {
-    const LINE: [[f64; 3]; 5] =
-        [[11.0, 33.6, 3.4], [22.0, 36.6, 3.7], [34.0, 39.0, 3.3], [44.0, 37.6, 2.5], [53.0, 33.0, 1.6]];
-    let (x, [_, centre, half]) = (x.abs(), table(&LINE, x.abs()));
-    (10.0..54.0).contains(&x) && (y - centre).abs() < half
+/// Height of the middle of the brow's rows in the grid.
+const BROW_Y: f64 = 36.5;
+
+/// Bends the rows along the eyebrow and squeezes them toward its outer end.
+fn bent_along_brow(column_mm: f64, y_mm: f64) -> f64 {
+    const LINE: [[f64; 3]; 8] = [
+        [0.0, 0.0, 1.0],
+        [6.0, -1.6, 1.0],
+        [12.0, -2.6, 1.15],
+        [22.0, -0.2, 1.25],
+        [34.0, 1.8, 1.05],
+        [44.0, 0.2, 0.75],
+        [54.0, -4.5, 0.55],
+        [66.0, 0.0, 1.0],
+    ];
+    let [_, shift, squeeze] = table(&LINE, column_mm.abs());
+    let distance = y_mm - BROW_Y;
+    BROW_Y
+        + distance * (1.0 + (squeeze - 1.0) * smoothstep(9.0, 3.0, distance.abs()))
+        + shift * smoothstep(18.0, 2.0, distance.abs())
+}
+
+/// Whether a grid point belongs to an eyebrow.
+pub fn is_brow(column_mm: f64, y_mm: f64) -> bool {
+    (11.0..54.0).contains(&column_mm.abs()) && (y_mm - BROW_Y).abs() < 2.0
 }

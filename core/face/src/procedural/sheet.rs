@@ -13,16 +13,19 @@ use crate::model::Region;
 
 /// Front heights of the rows, millimetres, down to the chin; the eye and mouth slits are rows of their own.
 const FRONT_ROWS: [f64; 57] = [
-    123.6, 119.0, 112.0, 102.0, 92.0, 82.0, 72.0, 63.0, 55.0, 48.0, 43.0, 39.5, 36.5, 33.5, 30.5, 27.5, 25.0, 22.5,
+    123.6, 119.0, 112.0, 102.0, 92.0, 82.0, 72.0, 63.0, 55.0, 48.0, 43.5, 40.5, 38.0, 35.0, 32.0, 29.0, 25.5, 22.5,
     20.0, 17.5, EYE_Y, 12.5, 10.0, 7.0, 3.0, -1.5, -6.0, -10.5, -14.5, -18.0, -21.0, -24.0, -26.5, -29.0, -31.0, -33.0,
     -35.0, -38.0, -41.5, -45.0, -47.5, -49.7, -51.7, -53.8, MOUTH_Y, -58.2, -60.8, -63.2, -65.6, -68.5, -72.0, -76.0,
     -80.5, -85.0, -90.0, -95.0, -100.0,
 ];
 /// Rows under the chin and down the neck, as levels of the smooth head.
 const NECK_LEVELS: [f64; 9] = [12.55, 13.0, 13.5, 14.0, 14.6, 15.3, 16.0, 17.0, 18.0];
+/// The rows that outline the lips.
+const UPPER_OUTLINE: f64 = -49.7;
+const LOWER_OUTLINE: f64 = -65.6;
 /// Columns of the front half to the left of the middle, millimetres at the reference half width.
 const FRONT_COLUMNS: [f64; 21] = [
-    3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 21.5, 25.5, 30.0, 34.5, 38.5, 42.0, 45.0, 48.5, 52.5, 57.5, 63.0, 68.5, 72.1,
+    3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 21.4, 24.8, 28.0, 33.5, 38.5, 42.0, 45.0, 48.5, 52.5, 57.5, 63.0, 68.5, 72.1,
     74.3, 75.0,
 ];
 /// Columns of the back half, without its ends.
@@ -84,23 +87,25 @@ impl GridPoint {
         } else {
             self.height
         };
+        let (opened, angle, at_hairline) =
+            if self.on_face { snapped_to_hairline(opened, self.angle) } else { (opened, self.angle, false) };
         let level = if self.on_face { level_of_front_height(opened) } else { self.level };
-        let [mut x, mut y, mut z] = surface(level, self.angle);
+        let [mut x, mut y, mut z] = surface(level, angle);
         let mut region = if self.on_face { Region::Skin } else { Region::Neck };
         let midline = surface(level_of_front_height(y), 0.0)[2];
         if front && self.on_face && y > -106.0 {
             let face = smoothstep(0.0, 0.25, self.angle.cos());
             z += face * (features::featured_depth(x, y, z, midline) - z);
-            if features::is_brow(x, y) {
+            if features::is_brow(self.column_mm(), self.height) {
                 region = Region::Brow;
             }
             if features::is_lip(self.column_mm(), self.height) {
                 region = Region::Lips;
             }
         }
-        let wrapped = (self.angle + PI).rem_euclid(2.0 * PI) - PI;
+        let wrapped = (angle + PI).rem_euclid(2.0 * PI) - PI;
         let (lift, is_scalp) = features::hair(y, wrapped);
-        if is_scalp {
+        if is_scalp || at_hairline {
             region = Region::Scalp;
         } else if self.angle.cos() < -0.1 && y < -20.0 {
             region = Region::Neck;
@@ -119,6 +124,25 @@ impl GridPoint {
         };
         SheetVertex { position: [x * 1e-3, y * 1e-3, z * 1e-3], region, side: mouth_side }
     }
+}
+
+/// Slides a grid point onto the hairline when it is near, so that the border of the hair is a line and not a stair.
+/// Returns its front height and angle, and whether it moved.
+fn snapped_to_hairline(height: f64, angle: f64) -> (f64, f64, bool) {
+    let reach = 2.6;
+    let (mut at, mut moved) = ([height, angle], false);
+    for _ in 0..3 {
+        let wrapped = (at[1] + PI).rem_euclid(2.0 * PI) - PI;
+        // Heights turn with the jaw: judge by where the point really is.
+        let y = surface(level_of_front_height(at[0]), at[1])[1];
+        let (distance, [turn, rise]) = features::above_hairline(y, wrapped);
+        if !moved && distance.abs() > reach {
+            return (height, angle, false);
+        }
+        at = [at[0] - distance * rise, at[1] - distance * turn];
+        moved = true;
+    }
+    (at[0], at[1], true)
 }
 
 impl Sheet {
@@ -147,7 +171,7 @@ impl Sheet {
         sheet
     }
 
-    /// Number of rows.
+    /// Number of rows, crown to neck.
     pub fn rows() -> usize {
         FRONT_ROWS.len() + NECK_LEVELS.len()
     }
@@ -156,6 +180,23 @@ impl Sheet {
     pub fn vertex(&self, row: usize, column: usize, lower: bool) -> u32 {
         let upper = self.index.get(&(row, column, false)).copied().unwrap_or(0);
         if lower { self.index.get(&(row, column, true)).copied().unwrap_or(upper) } else { upper }
+    }
+
+    /// Where along the mouth slit (in its entries) a column lies, millimetres at the reference half width.
+    pub fn mouth_index_of_column(&self, column_mm: f64) -> f64 {
+        let half = self.mouth.len() / 2;
+        let (sign, column) = (column_mm.signum(), column_mm.abs());
+        let after = FRONT_COLUMNS.partition_point(|c| *c < column).min(half.saturating_sub(1));
+        let from = if after == 0 { 0.0 } else { FRONT_COLUMNS[after - 1] };
+        half as f64 + sign * (after as f64 + (column - from) / (FRONT_COLUMNS[after] - from))
+    }
+
+    /// The vertex of the lip's outline in the column of an entry of the mouth slit.
+    pub fn lip_outline(&self, entry: usize, upper: bool) -> u32 {
+        let column = FRONT_COLUMNS.len() + entry - self.mouth.len() / 2;
+        let target = if upper { UPPER_OUTLINE } else { LOWER_OUTLINE };
+        let row = FRONT_ROWS.partition_point(|height| *height > target + 1e-9);
+        self.vertex(row, column, false)
     }
 
     fn grid_point(row: usize, angle: f64) -> GridPoint {

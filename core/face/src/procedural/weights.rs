@@ -64,8 +64,8 @@ fn jaw_share([x, y, z]: [f64; 3], side: f64) -> f64 {
     // Angle about the hinge in the sagittal plane, from the line through the mouth; positive below it.
     let mouth_angle = (hinge_y - MOUTH_HEIGHT).atan2(0.094 - hinge_z);
     let angle = (hinge_y - y).atan2((z - hinge_z).max(1e-4)) - mouth_angle;
-    let forward = smoothstep(0.0, 0.030, z);
-    let under_chin = smoothstep(0.018, 0.062, z + 1.2 * (y + 0.100).max(0.0));
+    let forward = smoothstep(-0.010, 0.045, z);
+    let under_chin = smoothstep(0.010, 0.068, z + 1.0 * (y + 0.100).max(0.0));
     let along = (x.abs() / MOUTH_HALF_WIDTH).min(2.5);
     let cheek = smoothstep(-0.16, 0.30, angle);
     // Within the lips the slit is sharp: the lower lip goes fully with the jaw, the upper stays.
