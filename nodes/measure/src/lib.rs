@@ -1,1 +1,11 @@
-//! Nodes HrEstimator and BenchmarkDecoder. May not depend on heartian-pulse.
+//! The nodes that read a heartbeat back and report it. They cannot see `heartian-pulse`: no reader grades its own pen.
+
+mod benchmark_decoder;
+mod choices;
+mod hr_estimator;
+mod report;
+
+pub use benchmark_decoder::BenchmarkDecoder;
+pub use choices::{Convention, Pixels, ReadBy};
+pub use hr_estimator::HrEstimator;
+pub use report::Report;
