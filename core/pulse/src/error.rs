@@ -15,7 +15,9 @@ pub enum PulseError {
         found: usize,
     },
     /// The clip is too short to carry a heartbeat.
-    #[error("{frames} frames over {seconds:.2} s are too few for a pulse; use at least {needed} frames and {needed_seconds:.1} s")]
+    #[error(
+        "{frames} frames over {seconds:.2} s are too few for a pulse; use at least {needed} frames and {needed_seconds:.1} s"
+    )]
     Short {
         /// Frames given.
         frames: usize,
@@ -43,7 +45,9 @@ pub enum PulseError {
         range: &'static str,
     },
     /// A heart rate the frame rate cannot carry.
-    #[error("a heart rate of {bpm:.1} bpm needs more than {needed:.1} frames/s but the clip has {found:.1}; lower the rate or use more frames a second")]
+    #[error(
+        "a heart rate of {bpm:.1} bpm needs more than {needed:.1} frames/s but the clip has {found:.1}; lower the rate or use more frames a second"
+    )]
     Undersampled {
         /// Prescribed rate.
         bpm: f64,

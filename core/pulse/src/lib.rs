@@ -6,14 +6,25 @@
 
 mod adam;
 mod error;
+mod fit;
 pub mod losses;
 pub mod numeric;
 mod phase;
-pub mod residual;
+mod pulse;
+pub mod reference;
 pub mod render_loss;
+pub mod residual;
+mod residual_fit;
 mod waveform;
 
 pub use adam::Schedule;
 pub use error::PulseError;
+pub use fit::{FitReport, PhaseOptions, PhaseRates, Scene, Start, Watch, fit_phase};
 pub use phase::{Parameterization, Phase, PhaseGradient};
+pub use pulse::{Pulse, Strength, modulation_from_fundamental};
+pub use reference::{Prescription, Reference};
+pub use residual_fit::{Evaluation, ResidualOptions, evaluate_all, fit_residual, mean_offsets};
 pub use waveform::{PenaltyWeights, Waveform, WaveformGradient};
+
+#[cfg(test)]
+mod tests;

@@ -177,7 +177,8 @@ pub(crate) mod tests {
             let (h, mut up, mut down) = (1e-6, x, x);
             up[k] += h;
             down[k] -= h;
-            let slope = (surrogate.loss(&up, 1.0, &mut [0.0; 6]) - surrogate.loss(&down, 1.0, &mut [0.0; 6])) / (2.0 * h);
+            let slope =
+                (surrogate.loss(&up, 1.0, &mut [0.0; 6]) - surrogate.loss(&down, 1.0, &mut [0.0; 6])) / (2.0 * h);
             assert!((slope - gradient[k]).abs() < 1e-8);
         }
         assert!(RenderLoss::new(&operator, &[0, 1], 2).is_err());

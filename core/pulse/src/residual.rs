@@ -99,18 +99,7 @@ impl Shape {
         let block = [[take(w * w), take(w)], [take(w * w), take(w)]];
         let (output, output_bias) = (take(w), take(1));
         let len = output_bias.end;
-        Layout {
-            beat,
-            position1,
-            position2,
-            input_frame,
-            input_position,
-            input_bias,
-            block,
-            output,
-            output_bias,
-            len,
-        }
+        Layout { beat, position1, position2, input_frame, input_position, input_bias, block, output, output_bias, len }
     }
 }
 

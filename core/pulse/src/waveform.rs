@@ -130,10 +130,9 @@ impl Waveform {
 
     /// Peak-to-peak of the waveform over a whole beat, sampled at 1024 phases.
     pub fn peak_to_peak(&self) -> f64 {
-        let (low, high) = (0..1024).map(|k| self.at(std::f64::consts::TAU * f64::from(k) / 1024.0)).fold(
-            (f64::INFINITY, f64::NEG_INFINITY),
-            |(low, high), value| (low.min(value), high.max(value)),
-        );
+        let (low, high) = (0..1024)
+            .map(|k| self.at(std::f64::consts::TAU * f64::from(k) / 1024.0))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
         high - low
     }
 

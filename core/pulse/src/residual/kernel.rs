@@ -11,9 +11,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::matrix::{Matrix, Real, add, add_row, add_scaled, dot, multiply};
-use super::{
-    BEAT_FEATURES, FRAME_FEATURES, HARMONICS, POSITION_FEATURES, POSITION_HIDDEN, Residual, phase_features,
-};
+use super::{BEAT_FEATURES, FRAME_FEATURES, HARMONICS, POSITION_FEATURES, POSITION_HIDDEN, Residual, phase_features};
 
 /// Rows (frame, Gaussian) handled at once: their activations stay in the second-level cache.
 const BLOCK_ROWS: usize = 256;
@@ -28,6 +26,23 @@ pub struct Frames<T> {
     z1: Vec<T>,
     z2: Vec<T>,
     output: Vec<T>,
+}
+
+impl<T: Real> Frames<T> {
+    /// The tables of some frames only, in the order asked for.
+    pub(crate) fn picked(&self, frames: &[usize], width: usize) -> Self {
+        let rows = |table: &[T], columns: usize| -> Vec<T> {
+            frames.iter().flat_map(|&t| table[t * columns..(t + 1) * columns].iter().copied()).collect()
+        };
+        Self {
+            beat: frames.iter().map(|&t| self.beat[t]).collect(),
+            features: rows(&self.features, FRAME_FEATURES),
+            z: rows(&self.z, width),
+            z1: rows(&self.z1, width),
+            z2: rows(&self.z2, width),
+            output: rows(&self.output, 1),
+        }
+    }
 }
 
 /// What depends on the Gaussian alone, K rows each.
@@ -156,19 +171,6 @@ impl<T: Real> Residual<T> {
         }
     }
 
-    /// f for every frame and position, and the gradient of a loss given its derivative ∂L/∂f, T×K, which `pulled`
-    /// computes from f.
-    pub fn forward_backward(
-        &self,
-        frames: &Frames<T>,
-        positions: &Positions<T>,
-        pulled: impl FnOnce(&[T]) -> Vec<T>,
-    ) -> (Vec<T>, Gradient<T>) {
-        let out = self.forward(frames, positions);
-        let gradient = self.backward(frames, positions, &pulled(&out));
-        (out, gradient)
-    }
-
     /// The gradient with respect to all weights given ∂L/∂f, T×K. Activations are computed again block by block:
     /// cheaper than storing them.
     pub fn backward(&self, frames: &Frames<T>, positions: &Positions<T>, pulled: &[T]) -> Gradient<T> {
@@ -257,10 +259,7 @@ impl<T: Real> Residual<T> {
             }
             gradient[layout.output_bias.start] += *to_frame;
         }
-        let sides = [
-            (&frames.z, &to_frame, [&frame1, &frame2]),
-            (&positions.s, &to_place, [&place1, &place2]),
-        ];
+        let sides = [(&frames.z, &to_frame, [&frame1, &frame2]), (&positions.s, &to_place, [&place1, &place2])];
         let [dz, ds] = sides.map(|(table, to_output, through)| self.pull(table, to_output, through, &mut gradient));
         for (block, sums) in layout.block.iter().zip([&frame1, &frame2]) {
             sum_rows(&mut gradient[block[1].clone()], sums);
@@ -451,9 +450,7 @@ mod tests {
         let pulled: Vec<f32> = c.pulled.iter().map(|g| *g as f32).collect();
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| {
-                narrow.backward(&narrow.frames(&c.theta, &c.beat), &narrow.positions(&c.points), &pulled)
-            })
+            pool.install(|| narrow.backward(&narrow.frames(&c.theta, &c.beat), &narrow.positions(&c.points), &pulled))
         };
         let single = run(1);
         assert_eq!(single, run(3));

@@ -57,15 +57,8 @@ impl Real for f64 {
 /// below 3e-7, branch-free, so that it fills the lanes.
 #[inline(always)]
 fn tanh_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
-    const ODD: [f32; 7] = [
-        -2.760_768_5e-16,
-        2.000_188e-13,
-        -8.604_672e-11,
-        5.122_297e-8,
-        1.485_722_35e-5,
-        6.372_619e-4,
-        4.893_524_6e-3,
-    ];
+    const ODD: [f32; 7] =
+        [-2.760_768_5e-16, 2.000_188e-13, -8.604_672e-11, 5.122_297e-8, 1.485_722_35e-5, 6.372_619e-4, 4.893_524_6e-3];
     const EVEN: [f32; 4] = [1.198_258_4e-6, 1.185_347_1e-4, 2.268_434_6e-3, 4.893_525e-3];
     for value in values {
         let x = value.clamp(-7.905_311, 7.905_311);

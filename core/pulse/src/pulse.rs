@@ -1,0 +1,155 @@
+//! The `pulse` artifact: everything that was learnt about the heartbeat, and the values it takes at each frame.
+//!
+//! Offsets are in linear green albedo. Arrays `times_seconds`, `theta`, `beat`, `fundamental`, `reference` have one entry
+//! a frame, T ≥ 1.
+
+use heartian_artifact::{Artifact, ArtifactError, ArtifactType, Bundle, BundleReader};
+use heartian_space::{Modulation, Skin};
+
+use crate::error::{PulseError, check_length};
+use crate::fit::FitReport;
+use crate::phase::Phase;
+use crate::residual::{Residual, Shape};
+use crate::waveform::Waveform;
+
+/// How strongly the skin pulses.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Strength {
+    /// A of equation 1, linear albedo.
+    pub scale: f64,
+    /// What is subtracted from the waveform before scaling (its mean when centred, 0 in the paper).
+    pub level: f64,
+    /// B of equation 2; 0 without residual.
+    pub residual_weight: f64,
+    /// 8-bit levels on the picture for one unit of albedo.
+    pub levels_per_albedo: f64,
+    /// Bound on the peak-to-peak on the picture, 8-bit levels.
+    pub most_levels: f64,
+}
+
+/// A fitted heartbeat.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pulse {
+    /// Frame times, seconds.
+    pub times_seconds: Vec<f64>,
+    /// θ(t), radians in [−π, π].
+    pub theta: Vec<f64>,
+    /// b(t), from 0.
+    pub beat: Vec<u32>,
+    /// A·(fundamental − level), linear green albedo.
+    pub fundamental: Vec<f64>,
+    /// The pulse that was aimed at, arbitrary unit.
+    pub reference: Vec<f64>,
+    /// Learnt phase parameters.
+    pub phase: Phase,
+    /// Learnt waveform parameters.
+    pub waveform: Waveform,
+    /// Scales and bounds.
+    pub strength: Strength,
+    /// The residual network, once fitted.
+    pub residual: Option<Residual>,
+    /// Mean beat rate of the reference over the clip, bpm.
+    pub reference_bpm: f64,
+    /// How the fit went.
+    pub report: FitReport,
+}
+
+impl Pulse {
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.times_seconds.len()
+    }
+
+    /// Never true of a fitted pulse.
+    pub fn is_empty(&self) -> bool {
+        self.times_seconds.is_empty()
+    }
+
+    /// Half of the bound on 8-bit levels, as linear albedo: no offset is larger in magnitude.
+    pub fn most_offset(&self) -> f64 {
+        0.5 * self.strength.most_levels / self.strength.levels_per_albedo.max(1e-9)
+    }
+
+    fn checked(self) -> Result<Self, PulseError> {
+        let count = self.times_seconds.len();
+        for (what, found) in [
+            ("theta", self.theta.len()),
+            ("beat", self.beat.len()),
+            ("fundamental", self.fundamental.len()),
+            ("reference", self.reference.len()),
+            ("phase", self.phase.len()),
+        ] {
+            check_length(what, count, found)?;
+        }
+        if let Some(residual) = &self.residual {
+            let expected = residual.shape.checked()?.layout().len;
+            check_length("the residual's weights", expected, residual.weights.len())?;
+        }
+        Ok(self)
+    }
+}
+
+/// The modulation of the fundamental alone: every skin Gaussian gets the same offset (graphs without residual).
+///
+/// # Errors
+/// When there is no skin, or the pulse has no frame.
+pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<Modulation, PulseError> {
+    let count = skin.gaussians.len();
+    if count == 0 {
+        return Err(PulseError::NoSkin);
+    }
+    let most = pulse.most_offset();
+    let frame = |value: &f64| std::iter::repeat_n(value.clamp(-most, most) as f32, count);
+    let offsets = pulse.fundamental.iter().flat_map(frame).collect();
+    let modulation =
+        Modulation { gaussians: skin.gaussians.clone(), times_seconds: pulse.times_seconds.clone(), offsets };
+    Ok(modulation.checked()?)
+}
+
+impl Artifact for Pulse {
+    const TYPE: ArtifactType = ArtifactType { name: "pulse", version: 1 };
+
+    fn to_bundle(&self) -> Result<Bundle<'_>, ArtifactError> {
+        let count = self.len();
+        let mut bundle = Bundle::new()
+            .tensor("times_seconds", &[count], &self.times_seconds)?
+            .tensor("theta", &[count], &self.theta)?
+            .tensor("beat", &[count], &self.beat)?
+            .tensor("fundamental", &[count], &self.fundamental)?
+            .tensor("reference", &[count], &self.reference)?
+            .tensor("phase", &[self.phase.raw.len()], &self.phase.raw)?
+            .meta("phase", &(self.phase.parameterization, self.phase.initial))?
+            .meta("waveform", &self.waveform)?
+            .meta("strength", &self.strength)?
+            .meta("reference_bpm", &self.reference_bpm)?
+            .meta("report", &self.report)?
+            .meta("residual", &self.residual.as_ref().map(|residual| residual.shape))?;
+        if let Some(residual) = &self.residual {
+            bundle = bundle.tensor("residual", &[residual.weights.len()], &residual.weights)?;
+        }
+        Ok(bundle)
+    }
+
+    fn from_bundle(reader: BundleReader<'_>) -> Result<Self, ArtifactError> {
+        let (parameterization, initial) = reader.meta("phase")?;
+        let residual = match reader.meta::<Option<Shape>>("residual")? {
+            Some(shape) => Some(Residual { shape, weights: reader.tensor("residual")?.1 }),
+            None => None,
+        };
+        Self {
+            times_seconds: reader.tensor("times_seconds")?.1,
+            theta: reader.tensor("theta")?.1,
+            beat: reader.tensor("beat")?.1,
+            fundamental: reader.tensor("fundamental")?.1,
+            reference: reader.tensor("reference")?.1,
+            phase: Phase { parameterization, initial, raw: reader.tensor("phase")?.1 },
+            waveform: reader.meta("waveform")?,
+            strength: reader.meta("strength")?,
+            residual,
+            reference_bpm: reader.meta("reference_bpm")?,
+            report: reader.meta("report")?,
+        }
+        .checked()
+        .map_err(|error| ArtifactError::Invalid(error.to_string()))
+    }
+}

@@ -1,0 +1,211 @@
+//! Stage 2, second half: the residual network on top of a frozen fundamental (paper, Optimization: the losses on the full
+//! modulation provide gradients to the network, and to B, alone).
+//!
+//! The mean over all skin Gaussians that the losses need is estimated, step by step, from one Gaussian drawn from each of
+//! a few compact patches of skin (seeded): unbiased, and the network is smooth in position. The finished modulation
+//! evaluates every Gaussian (`residual_fit/evaluate.rs`).
+
+mod evaluate;
+mod patches;
+
+pub use evaluate::{Evaluation, evaluate_all};
+
+use heartian_space::{AlbedoOperator, Modulation, Progress, Skin};
+
+use crate::adam::{Adam, AdamF32, Schedule};
+use crate::error::{PulseError, check_length};
+use crate::fit::{FitReport, Watch};
+use crate::losses::{LossWeights, WaveformTarget};
+use crate::numeric::{Random, mean};
+use crate::pulse::Pulse;
+use crate::render_loss::RenderLoss;
+use crate::residual::{Residual, Shape};
+use patches::Patches;
+
+/// Settings of [`fit_residual`].
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ResidualOptions {
+    /// Full-batch steps over all frames.
+    pub steps: u32,
+    /// Width of the trunk (paper: 128).
+    pub width: usize,
+    /// Skin patches, each represented by one random Gaussian a step; fewer for clips beyond a thousand frames.
+    pub patches: usize,
+    /// Rate of the network (paper: 3.8e-3 → 5e-4), laid onto the steps taken.
+    pub rate: Schedule,
+    /// B at the start; the paper does not state it.
+    pub residual_weight: f64,
+    /// Rate of B (paper: 1e-4).
+    pub residual_weight_rate: f64,
+    /// λ of the losses; those of phase are not used here.
+    pub weights: LossWeights,
+    /// Seed of the initial weights and of the draws.
+    pub seed: u64,
+    /// How the finished modulation is evaluated.
+    pub evaluation: Evaluation,
+}
+
+impl Default for ResidualOptions {
+    fn default() -> Self {
+        Self {
+            steps: 300,
+            width: 128,
+            patches: 8,
+            rate: Schedule { first: 3.8e-3, last: 5e-4, steps: 1.0 },
+            residual_weight: 0.3,
+            residual_weight_rate: 1e-4,
+            weights: LossWeights::default(),
+            seed: 0,
+            evaluation: Evaluation::default(),
+        }
+    }
+}
+
+impl ResidualOptions {
+    /// The paper's length: its decay runs over 80,000 frame-level iterations, of which 60 epochs take 60,000.
+    pub fn paper() -> Self {
+        Self { steps: 60_000, rate: Schedule { first: 3.8e-3, last: 5e-4, steps: 8.0 / 6.0 }, ..Self::default() }
+    }
+
+    fn check(&self) -> Result<(), PulseError> {
+        let refuse = |name, value, range| Err(PulseError::Parameter { name, value, range });
+        if !(1..=64).contains(&self.patches) {
+            return refuse("patches", self.patches as f64, "1 to 64");
+        }
+        if !(self.residual_weight > 0.0 && self.residual_weight <= 10.0) {
+            return refuse("residual_weight", self.residual_weight, "(0, 10]");
+        }
+        Ok(())
+    }
+}
+
+/// Evaluations (frame, Gaussian) a step beyond which fewer patches are drawn.
+const MOST_EVALUATIONS: usize = 8192;
+
+/// Fits the network and evaluates the modulation of every skin Gaussian. Returns the pulse with network and B filled in.
+///
+/// # Errors
+/// When there is no skin, inputs disagree in length, a parameter is out of range, or the callback stops the work.
+pub fn fit_residual(
+    pulse: &Pulse,
+    skin: &Skin,
+    operator: Option<&AlbedoOperator>,
+    options: &ResidualOptions,
+    progress: Watch<'_>,
+) -> Result<(Pulse, Modulation), PulseError> {
+    options.check()?;
+    if skin.gaussians.is_empty() {
+        return Err(PulseError::NoSkin);
+    }
+    check_length("the skin positions", skin.gaussians.len(), skin.positions.len())?;
+    let beats = pulse.beat.iter().max().map_or(1, |&last| last as usize + 1);
+    let network = Residual::<f32>::new(Shape { beats, width: options.width }, options.seed)?;
+    let count = (MOST_EVALUATIONS / pulse.len().max(1)).clamp(1, options.patches);
+    let patches = Patches::new(&skin.positions, count);
+    let render = operator.map(|operator| RenderLoss::new(operator, &patches.patch_of, patches.len())).transpose()?;
+    let shape = pulse.waveform.evaluate(&pulse.theta);
+    let training = Training {
+        pulse,
+        shape: &shape,
+        target: WaveformTarget::new(&pulse.reference)?,
+        positions: &skin.positions,
+        patches,
+        render,
+        options,
+    };
+    let (network, residual_weight) = training.run(network, progress)?;
+    let mut fitted = pulse.clone();
+    fitted.strength.residual_weight = residual_weight;
+    fitted.residual = Some(network);
+    let (modulation, limited) = evaluate_all(&fitted, skin, &options.evaluation)?;
+    let full = mean_offsets(&modulation);
+    fitted.report = FitReport {
+        steps: pulse.report.steps + u64::from(options.steps),
+        full_pearson: Some(training.target.correlation(&full)?),
+        mse: training.target.loss(&full, &options.weights)?.mse,
+        limited,
+        ..pulse.report
+    };
+    Ok((fitted, modulation))
+}
+
+/// Mean offset over all Gaussians, one a frame: the attribute signal less the constant mean albedo.
+pub fn mean_offsets(modulation: &Modulation) -> Vec<f64> {
+    let count = modulation.gaussians.len();
+    let average = |frame: &[f32]| frame.iter().map(|&offset| f64::from(offset)).sum::<f64>() / count as f64;
+    modulation.offsets.chunks_exact(count).map(average).collect()
+}
+
+struct Training<'a> {
+    pulse: &'a Pulse,
+    shape: &'a [f64],
+    target: WaveformTarget,
+    positions: &'a [[f32; 3]],
+    patches: Patches,
+    render: Option<RenderLoss>,
+    options: &'a ResidualOptions,
+}
+
+impl Training<'_> {
+    /// Adam over the network and B.
+    fn run(&self, mut network: Residual, progress: Watch<'_>) -> Result<(Residual, f64), PulseError> {
+        let options = self.options;
+        let (mut adam, mut adam_b) = (AdamF32::new(network.weights.len()), Adam::new(1));
+        let mut residual_weight = [options.residual_weight];
+        let mut random = Random::new(options.seed.wrapping_add(1));
+        for step in 0..options.steps {
+            let drawn = self.patches.draw(&mut random);
+            let points: Vec<[f32; 3]> = drawn.iter().map(|&gaussian| self.positions[gaussian]).collect();
+            let frames = network.frames(&self.pulse.theta, &self.pulse.beat);
+            let positions = network.positions(&points);
+            let out = network.forward(&frames, &positions);
+            let (pulled, to_b, pearson) = self.losses(&out, residual_weight[0])?;
+            let gradient = network.backward(&frames, &positions, &pulled);
+            let at = f64::from(step) / f64::from(options.steps);
+            adam.step(&mut network.weights, &gradient, options.rate.at(at));
+            adam_b.step(&mut residual_weight, &[to_b], |_| options.residual_weight_rate);
+            residual_weight[0] = residual_weight[0].max(1e-3);
+            if step % 20 == 0 || step + 1 == options.steps {
+                let metric = Some(("waveform_pearson", pearson));
+                let report = Progress { step: u64::from(step + 1), total: u64::from(options.steps), metric };
+                if progress(report).is_break() {
+                    return Err(PulseError::Cancelled);
+                }
+            }
+        }
+        Ok((network, residual_weight[0]))
+    }
+
+    /// ∂L/∂f (T×patches), ∂L/∂B and the correlation, given the drawn outputs.
+    fn losses(&self, out: &[f32], residual_weight: f64) -> Result<(Vec<f32>, f64, f64), PulseError> {
+        let (count, share) = (self.patches.len(), &self.patches.share);
+        let averages: Vec<f64> = out
+            .chunks_exact(count)
+            .map(|frame| frame.iter().zip(share).map(|(&f, share)| f64::from(f) * share).sum())
+            .collect();
+        let full: Vec<f64> = self.shape.iter().zip(&averages).map(|(u, f)| u + residual_weight * f).collect();
+        let loss = self.target.loss(&full, &self.options.weights)?;
+        let mut pulled: Vec<f64> =
+            loss.gradient.iter().flat_map(|g| share.iter().map(move |share| g * share * residual_weight)).collect();
+        let mut to_b = loss.gradient.iter().zip(&averages).map(|(g, f)| g * f).sum::<f64>();
+        if let Some(render) = self.render.as_ref().filter(|_| self.options.weights.base > 0.0) {
+            let strength = &self.pulse.strength;
+            let centre = mean(&averages);
+            let level = strength.level + if strength.level > 0.0 { residual_weight * centre } else { 0.0 };
+            let offset = |(u, f): (&f64, &f32)| strength.scale * (u - level + residual_weight * f64::from(*f));
+            let offsets: Vec<f64> = self
+                .shape
+                .iter()
+                .zip(out.chunks_exact(count))
+                .flat_map(|(u, frame)| frame.iter().map(move |f| offset((u, f))))
+                .collect();
+            let mut to_offsets = vec![0.0; offsets.len()];
+            render.loss(&offsets, self.options.weights.base, &mut to_offsets);
+            for ((pulled, to_offset), f) in pulled.iter_mut().zip(&to_offsets).zip(out) {
+                *pulled += to_offset * strength.scale * residual_weight;
+                to_b += to_offset * strength.scale * f64::from(*f);
+            }
+        }
+        Ok((pulled.into_iter().map(|g| g as f32).collect(), to_b, 1.0 - loss.pearson))
+    }
+}

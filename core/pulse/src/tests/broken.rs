@@ -1,0 +1,1 @@
+//! Broken input has a defined answer.

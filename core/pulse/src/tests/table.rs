@@ -1,0 +1,123 @@
+//! Seconds against error, printed: `cargo test --release -p heartian-pulse -- --ignored --nocapture seconds_against`.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::time::Instant;
+
+use super::*;
+use crate::{Evaluation, Parameterization, ResidualOptions, Start, fit_residual, mean_offsets};
+
+#[test]
+#[ignore = "prints a table; takes minutes"]
+fn seconds_against_error_of_the_phase_fit() {
+    println!("clip start parameterization steps | s | phase rms rad, pearson, bpm error");
+    for (name, reference) in clips() {
+        for (start, parameterization, steps) in [
+            (Start::Beats, Parameterization::Cumulative, 0),
+            (Start::Beats, Parameterization::Cumulative, 500),
+            (Start::Beats, Parameterization::Cumulative, 2000),
+            (Start::Beats, Parameterization::Cumulative, 8000),
+            (Start::Beats, Parameterization::Direct, 2000),
+            (Start::MeanRate, Parameterization::Cumulative, 2000),
+            (Start::MeanRate, Parameterization::Direct, 2000),
+        ] {
+            let options = PhaseOptions { start, parameterization, steps, ..PhaseOptions::default() };
+            report(&name, &reference, &options, &format!("{start:?} {parameterization:?} {steps}"));
+        }
+        if reference.len() < 1000 {
+            report(&name, &reference, &PhaseOptions::paper(), "paper");
+        }
+    }
+}
+
+fn report(name: &str, reference: &Reference, options: &PhaseOptions, label: &str) {
+    let begin = Instant::now();
+    let (pulse, report) = fit(reference, options).unwrap();
+    let seconds = begin.elapsed().as_secs_f64();
+    let error =
+        read_bpm(&pulse.fundamental, reference.rate_hertz()) - read_bpm(&reference.waveform, reference.rate_hertz());
+    println!(
+        "{name} {label} | {seconds:.3} | {:.4} {:.4} {error:+.3} | A {:?} mu {:?} sigma {:?}",
+        report.phase_loss.sqrt(),
+        report.fundamental_pearson,
+        pulse.waveform.amplitude(),
+        pulse.waveform.center,
+        pulse.waveform.width()
+    );
+}
+
+fn clips() -> Vec<(String, Reference)> {
+    let mut clips = vec![
+        (
+            "steady 20 s".to_owned(),
+            Reference::from_ppg(&made_up_ppg(30.0, 100.0, |_| 72.0, 0.02), &times(20.0, 30.0)).unwrap(),
+        ),
+        (
+            "wandering 20 s".to_owned(),
+            Reference::from_ppg(
+                &made_up_ppg(30.0, 100.0, |t| 70.0 + 8.0 * (0.5 * t).sin() + t, 0.02),
+                &times(20.0, 30.0),
+            )
+            .unwrap(),
+        ),
+        (
+            "wandering 600 s".to_owned(),
+            Reference::from_ppg(
+                &made_up_ppg(610.0, 100.0, |t| 70.0 + 15.0 * (0.05 * t).sin(), 0.02),
+                &times(600.0, 30.0),
+            )
+            .unwrap(),
+        ),
+    ];
+    for (file, seconds, rate) in
+        [("ppg_clean_100hz.csv", 24.0, 24.0), ("ppg_wrist_100hz.csv", 20.0, 30.0), ("ppg_noisy_117hz.csv", 60.0, 30.0)]
+    {
+        if let Some(ppg) = recordings::recording(file) {
+            clips.push((file.to_owned(), Reference::from_ppg(&ppg, &times(seconds, rate)).unwrap()));
+        }
+    }
+    clips
+}
+
+#[test]
+#[ignore = "prints a table; takes minutes"]
+fn seconds_against_error_of_the_residual_fit() {
+    println!("clip | steps width patches | s train+eval | pearson before after | limited");
+    let skin = skin(6000);
+    for (name, reference) in clips() {
+        if reference.len() > 2000 {
+            continue;
+        }
+        let (pulse, before) = fit(&reference, &PhaseOptions::default()).unwrap();
+        for (steps, width, patches) in [
+            (100, 128, 8),
+            (300, 128, 8),
+            (1000, 128, 8),
+            (300, 32, 8),
+            (300, 64, 8),
+            (300, 128, 2),
+            (300, 128, 4),
+            (300, 128, 16),
+        ] {
+            let options = ResidualOptions { steps, width, patches, ..ResidualOptions::default() };
+            let begin = Instant::now();
+            let (fitted, modulation) = fit_residual(&pulse, &skin, None, &options, &mut onwards).unwrap();
+            let seconds = begin.elapsed().as_secs_f64();
+            let begin = Instant::now();
+            let (exact, _) = crate::evaluate_all(&fitted, &skin, &Evaluation::Exact).unwrap();
+            let exact_seconds = begin.elapsed().as_secs_f64();
+            let begin = Instant::now();
+            let _ = crate::evaluate_all(&fitted, &skin, &options.evaluation).unwrap();
+            let fast_seconds = begin.elapsed().as_secs_f64();
+            let apart = exact.offsets.iter().zip(&modulation.offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let read = read_bpm(&mean_offsets(&modulation), reference.rate_hertz());
+            let error = read - read_bpm(&reference.waveform, reference.rate_hertz());
+            println!(
+                "{name} | {steps} {width} {patches} | {seconds:.2} (eval {fast_seconds:.2}, exact {exact_seconds:.2}, apart {apart:.1e}) | {:.4} {:.4} | {} | {error:+.3} bpm | B {:.3}",
+                before.fundamental_pearson,
+                fitted.report.full_pearson.unwrap(),
+                fitted.report.limited,
+                fitted.strength.residual_weight
+            );
+        }
+    }
+}
