@@ -1,1 +1,40 @@
 //! Gaussians: projection, rasteriser with exact gradients, deferred shading, lights and image losses. Knows no face.
+//!
+//! One frame: [`prepare`] (project, sort, bin) → [`composite`] (blend) → [`shade`] → [`srgb_encode`] → [`photometric`],
+//! and back by [`shade_backward`] and [`backward`]. Images here are planar f32 (`C × H × W`, top row first), colours
+//! premultiplied over black. Each fast text has a naive f64 twin of the same stem under [`reference`].
+
+mod adam;
+mod bin;
+mod blend_weights;
+mod brdf;
+mod environment;
+mod error;
+mod gaussians;
+mod harmonics;
+mod lanes;
+mod light_file;
+mod loss;
+mod ply;
+mod project;
+mod raster;
+pub mod reference;
+mod render;
+mod shade;
+mod ssim;
+mod transfer;
+
+//pub use adam::{Adam, AdamOptions};
+//pub use blend_weights::{Csr, blend_weights};
+//pub use environment::{Environment, RADIANCE_COEFFICIENTS};
+pub use error::SplatError;
+pub use gaussians::{Activated, Gaussians, MAX_CHANNELS, RawGaussians, SceneGradients, logit, sigmoid};
+pub use lanes::{SimdLevel, simd_level};
+//pub use light_file::{LightImage, light_from_file};
+//pub use loss::{Photometric, PhotometricWeights, mask_loss, mean_absolute_error, photometric, psnr};
+pub use ply::{read_ply, write_ply};
+pub use project::RasterOptions;
+pub use render::{Frame, FrameGradient, Prepared, backward, composite, prepare, render};
+//pub use shade::{DEFERRED_CHANNELS, ShadeGradients, channel, shade, shade_backward};
+//pub use ssim::ssim;
+//pub use transfer::{srgb_encode, srgb_encode_backward};

@@ -1,0 +1,237 @@
+//! Lane code: one small trait over a vector of f32, instantiated for the instruction sets that are chosen at run time.
+//!
+//! What always holds: every operation is element-wise IEEE f32 (fused only where the instruction set says `FUSED`), so
+//! a kernel gives the same bits on every thread of one machine. Comparisons with NaN are false. The environment
+//! variable `HEARTIAN_SIMD=baseline|avx2|avx512` forces a level (never one that the machine lacks).
+
+use std::sync::OnceLock;
+
+mod array;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+
+pub(crate) use array::Array;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use avx2::Avx2;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use avx512::Avx512;
+
+/// Longest vector of any level; tiles are padded by this many columns.
+pub(crate) const MAX_LANES: usize = 16;
+
+/// Instruction set that the kernels run on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum SimdLevel {
+    /// Portable lane code, whatever the build's target guarantees.
+    Baseline,
+    /// AVX2 with FMA, eight lanes.
+    Avx2,
+    /// AVX-512 F/BW/DQ/VL, sixteen lanes.
+    Avx512,
+}
+
+/// The level in use: the best this machine has, or what `HEARTIAN_SIMD` asks for. Chosen once.
+pub fn simd_level() -> SimdLevel {
+    static LEVEL: OnceLock<SimdLevel> = OnceLock::new();
+    *LEVEL.get_or_init(|| {
+        let best = best_level();
+        match std::env::var("HEARTIAN_SIMD").as_deref() {
+            Ok("baseline") => SimdLevel::Baseline,
+            Ok("avx2") => best.min(SimdLevel::Avx2),
+            _ => best,
+        }
+    })
+}
+
+#[cfg(target_arch = "x86_64")]
+fn best_level() -> SimdLevel {
+    let avx512 = is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl");
+    match is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        true if avx512 => SimdLevel::Avx512,
+        true => SimdLevel::Avx2,
+        false => SimdLevel::Baseline,
+    }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn best_level() -> SimdLevel {
+    SimdLevel::Baseline
+}
+
+/// A vector of `N` f32 values.
+///
+/// # Safety
+/// Every method may use instructions of the level it is written for: call only from a function that carries that
+/// level's `target_feature`, reached after [`simd_level`] reported it.
+pub(crate) unsafe trait Lanes: Copy {
+    /// Number of lanes.
+    const N: usize;
+    /// Result of a comparison.
+    type Mask: Copy;
+    unsafe fn splat(value: f32) -> Self;
+    /// Reads `N` values; the pointer need not be aligned.
+    unsafe fn load(from: *const f32) -> Self;
+    /// Writes `N` values; the pointer need not be aligned.
+    unsafe fn store(self, to: *mut f32);
+    unsafe fn add(self, other: Self) -> Self;
+    unsafe fn sub(self, other: Self) -> Self;
+    unsafe fn mul(self, other: Self) -> Self;
+    unsafe fn div(self, other: Self) -> Self;
+    unsafe fn sqrt(self) -> Self;
+    /// `self·factor + addend`.
+    unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
+    /// `addend − self·factor`.
+    unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
+    unsafe fn min(self, other: Self) -> Self;
+    unsafe fn max(self, other: Self) -> Self;
+    /// Nearest integer, ties to even.
+    unsafe fn round(self) -> Self;
+    /// Lane-wise `self ≥ other`.
+    unsafe fn ge(self, other: Self) -> Self::Mask;
+    /// Lane-wise `self < other`.
+    unsafe fn lt(self, other: Self) -> Self::Mask;
+    unsafe fn any(mask: Self::Mask) -> bool;
+    unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// `mask ? a : b`.
+    unsafe fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
+    /// `mask ? self : 0`.
+    unsafe fn keep(self, mask: Self::Mask) -> Self;
+    /// Sets the sign bit where the mask holds.
+    unsafe fn negative_where(self, mask: Self::Mask) -> Self;
+    /// `self·2^n` for an integer-valued `n` in [−126, 127], by adding to the exponent; `self` is near 1.
+    unsafe fn scale_exponent(self, n: Self) -> Self;
+    /// Splits a positive normal value into mantissa in [1, 2) and exponent.
+    unsafe fn split_exponent(self) -> (Self, Self);
+    /// Sum over lanes, always in the same order.
+    unsafe fn sum(self) -> f32;
+    /// Sums over lanes of eight vectors at once.
+    #[inline(always)]
+    unsafe fn sum_eight(vectors: [Self; 8]) -> [f32; 8] {
+        // SAFETY: the caller's contract is this method's.
+        unsafe { vectors.map(|vector| vector.sum()) }
+    }
+
+    #[inline(always)]
+    unsafe fn zero() -> Self {
+        // SAFETY: the caller's contract is this method's.
+        unsafe { Self::splat(0.0) }
+    }
+
+    /// `2^self` for `self ≤ 127`, relative error below 2.4e-7 from −126 on; smaller values give about `2^−126`.
+    #[inline(always)]
+    unsafe fn exp2(self) -> Self {
+        // SAFETY: the caller's contract is this method's.
+        unsafe {
+            let x = self.max(Self::splat(-126.0));
+            let whole = x.round();
+            let f = x.sub(whole);
+            // Chebyshev interpolation of 2^f on [−½, ½], relative error 1.0e-7 before rounding.
+            let mut p = Self::splat(1.339_086_3e-3);
+            p = p.mul_add(f, Self::splat(9.676_032e-3));
+            p = p.mul_add(f, Self::splat(5.550_357e-2));
+            p = p.mul_add(f, Self::splat(2.402_210_7e-1));
+            p = p.mul_add(f, Self::splat(6.931_472e-1));
+            p = p.mul_add(f, Self::splat(1.000_000_1));
+            p.scale_exponent(whole)
+        }
+    }
+
+    /// `log2` of a positive normal value, absolute error below 3e-7 near 1 and relative below 3e-7 elsewhere.
+    #[inline(always)]
+    unsafe fn log2(self) -> Self {
+        // SAFETY: the caller's contract is this method's.
+        unsafe {
+            let (mut m, mut e) = self.split_exponent();
+            // Mantissa to [√½, √2) so that the series argument stays below 0.1716.
+            let large = m.ge(Self::splat(std::f32::consts::SQRT_2));
+            m = Self::select(large, m.mul(Self::splat(0.5)), m);
+            e = e.add(Self::splat(1.0).keep(large));
+            let one = Self::splat(1.0);
+            let t = m.sub(one).div(m.add(one));
+            let t2 = t.mul(t);
+            // log2(m) = 2/ln2 · (t + t³/3 + t⁵/5 + …)
+            let mut p = Self::splat(2.0 / 9.0 * std::f32::consts::LOG2_E);
+            p = p.mul_add(t2, Self::splat(2.0 / 7.0 * std::f32::consts::LOG2_E));
+            p = p.mul_add(t2, Self::splat(2.0 / 5.0 * std::f32::consts::LOG2_E));
+            p = p.mul_add(t2, Self::splat(2.0 / 3.0 * std::f32::consts::LOG2_E));
+            p = p.mul_add(t2, Self::splat(2.0 * std::f32::consts::LOG2_E));
+            p.mul_add(t, e)
+        }
+    }
+}
+
+/// Runs a lane-generic function at the machine's level: `dispatch!(kernel, (C = 3), arguments…)` is written out by
+/// each kernel module with this macro, which makes one `target_feature` wrapper a level.
+macro_rules! dispatched {
+    ($(#[$doc:meta])* $visibility:vis fn $name:ident $([$(const $c:ident : usize),+])? ($($arg:ident : $ty:ty),* $(,)?) $(-> $ret:ty)? = $kernel:ident;) => {
+        $(#[$doc])*
+        $visibility fn $name $(<$(const $c: usize),+>)? ($($arg: $ty),*) $(-> $ret)? {
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma")]
+            unsafe fn avx2 $(<$(const $c: usize),+>)? ($($arg: $ty),*) $(-> $ret)? {
+                // SAFETY: reached only where AVX2 and FMA were detected.
+                unsafe { $kernel::<crate::lanes::Avx2 $($(, $c)+)?>($($arg),*) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+            unsafe fn avx512 $(<$(const $c: usize),+>)? ($($arg: $ty),*) $(-> $ret)? {
+                // SAFETY: reached only where AVX-512 was detected.
+                unsafe { $kernel::<crate::lanes::Avx512 $($(, $c)+)?>($($arg),*) }
+            }
+            match crate::lanes::simd_level() {
+                // SAFETY: the level was detected on this machine.
+                #[cfg(target_arch = "x86_64")]
+                crate::lanes::SimdLevel::Avx2 => unsafe { avx2 $(::<$($c),+>)? ($($arg),*) },
+                // SAFETY: the level was detected on this machine.
+                #[cfg(target_arch = "x86_64")]
+                crate::lanes::SimdLevel::Avx512 => unsafe { avx512 $(::<$($c),+>)? ($($arg),*) },
+                // SAFETY: the portable lanes need nothing.
+                _ => unsafe { $kernel::<crate::lanes::Array $($(, $c)+)?>($($arg),*) },
+            }
+        }
+    };
+}
+pub(crate) use dispatched;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[inline(always)]
+    unsafe fn exp2_and_log2<V: Lanes>(x: &mut [f32], out: &mut [f32]) {
+        for (x, out) in x.chunks_exact(V::N).zip(out.chunks_exact_mut(V::N)) {
+            // SAFETY: both chunks hold N values.
+            unsafe { V::load(x.as_ptr()).exp2().store(out.as_mut_ptr()) };
+        }
+        for (x, out) in x.chunks_exact_mut(V::N).zip(out.chunks_exact(V::N)) {
+            // SAFETY: both chunks hold N values.
+            unsafe { V::load(out.as_ptr()).log2().store(x.as_mut_ptr()) };
+        }
+    }
+    dispatched! { fn both_ways(x: &mut [f32], out: &mut [f32]) = exp2_and_log2; }
+
+    #[test]
+    fn exponential_and_logarithm_hold_their_stated_error() {
+        let exact: Vec<f32> = (0..4096).map(|i| -20.0 + 24.0 * i as f32 / 4096.0).collect();
+        for portable in [false, true] {
+            let (mut x, mut out) = (exact.clone(), vec![0.0; 4096]);
+            if portable {
+                // SAFETY: the portable lanes need nothing.
+                unsafe { exp2_and_log2::<Array>(&mut x, &mut out) };
+            } else {
+                both_ways(&mut x, &mut out);
+            }
+            for ((e, o), back) in exact.iter().zip(&out).zip(&x) {
+                let want = f64::from(*e).exp2();
+                assert!((f64::from(*o) - want).abs() <= 2.4e-7 * want, "{e}: {o} {want}");
+                assert!((back - e).abs() <= 3e-7 * e.abs().max(2.0), "{e}: {back}");
+            }
+        }
+    }
+}
