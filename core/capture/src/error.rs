@@ -35,6 +35,23 @@ pub enum CaptureError {
     /// Plain data are wrong.
     #[error(transparent)]
     Space(#[from] SpaceError),
+    /// A video cannot be read.
+    #[error(transparent)]
+    Video(#[from] crate::video::VideoError),
+    /// The networks are not installed, or damaged.
+    #[error(transparent)]
+    Models(#[from] heartian_face::models::ModelsError),
+    /// A network does not run.
+    #[error(transparent)]
+    Net(#[from] heartian_face::nets::NetError),
+    /// No frame of a recording shows a face.
+    #[error("{}: no face in any of its {frames} frames; record one frontal, lit face larger than 64 pixels, or choose another part with `start_seconds`", source_path.display())]
+    NoFace {
+        /// The recording.
+        source_path: std::path::PathBuf,
+        /// Number of frames looked at.
+        frames: usize,
+    },
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,

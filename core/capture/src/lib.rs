@@ -2,6 +2,8 @@
 
 mod error;
 mod mesh;
+pub mod ppg;
 pub mod synthetic;
+pub mod video;
 
 pub use error::CaptureError;
