@@ -94,6 +94,12 @@ pub enum SignalError {
         /// First frame of the window.
         frame: usize,
     },
+    /// No pixel of a frame lies under the matte.
+    #[error("frame {frame} has no pixel under the matte; mask the face again or average the whole frame")]
+    Masked {
+        /// The frame.
+        frame: usize,
+    },
     /// Fewer beats than the operation needs.
     #[error("found {found} beats where {needed} are needed; the trace is too short or carries no clear pulse")]
     FewBeats {

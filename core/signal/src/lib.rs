@@ -10,13 +10,17 @@ mod error;
 mod filter;
 pub mod hilbert;
 pub mod methods;
+pub mod metrics;
 mod peaks;
+mod protocol;
 mod spectrum;
 pub mod stats;
+pub mod trace;
 
 pub use detrend::{Detrender, MAX_LAMBDA, detrend};
 pub use error::SignalError;
 pub use filter::{Band, Butterworth, bandpass};
 pub use methods::Method;
 pub use peaks::local_maxima;
+pub use protocol::{EvenTrace, HeartRate, Preset, Protocol, estimate, resampled_evenly};
 pub use spectrum::{Resolution, Spectrum, peak_heart_rate_bpm};
