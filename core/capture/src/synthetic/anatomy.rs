@@ -88,8 +88,6 @@ pub(crate) struct Anatomy {
     pub(crate) orbits: Vec<Place>,
     /// Right and left nostril opening.
     pub(crate) nostrils: Vec<Place>,
-    /// Middle of the closed mouth and half its width.
-    pub(crate) mouth: Vec<Place>,
 }
 
 impl Anatomy {
@@ -109,7 +107,7 @@ impl Anatomy {
                 .map(|knot| {
                     let (upper, lower) = (landmark(edges[0][knot])?, landmark(edges[1][knot])?);
                     let taper = [0.55, 0.85, 1.0, 1.0, 0.9][knot];
-                    Some(((upper + lower) / 2.0, (upper.distance(lower) * 0.42).clamp(0.0022, 0.0042) * taper))
+                    Some(((upper + lower) / 2.0, (upper.distance(lower) * 0.5).clamp(0.0030, 0.0052) * taper))
                 })
                 .collect();
             knots.map(Stroke::new)
@@ -127,7 +125,6 @@ impl Anatomy {
             chin: place(&[199], 0.014).into_iter().collect(),
             orbits: [[33, 133], [263, 362]].iter().filter_map(|i| place(i, 0.017)).collect(),
             nostrils: [[97, 98], [326, 327]].iter().filter_map(|i| place(i, 0.0024)).collect(),
-            mouth: place(&[13, 14], 0.026).into_iter().collect(),
         }
     }
 }

@@ -38,11 +38,11 @@ impl Light {
         let (lights, [ambient, ambient_up, ambient_right]) = match self {
             Light::Studio => (
                 vec![
-                    area([0.55, 0.50, 0.75], [0.80, 0.78, 0.75], 0.45),
-                    area([-0.75, 0.10, 0.65], [0.26, 0.27, 0.29], 0.65),
+                    area([0.55, 0.50, 0.75], [0.90, 0.88, 0.85], 0.40),
+                    area([-0.75, 0.10, 0.65], [0.24, 0.25, 0.27], 0.65),
                     area([-0.45, 0.60, -0.65], [0.30, 0.30, 0.31], 0.35),
                 ],
-                [[0.20, 0.20, 0.21], [0.06, 0.06, 0.06], [0.0, 0.0, 0.0]],
+                [[0.15, 0.15, 0.16], [0.05, 0.05, 0.05], [0.0, 0.0, 0.0]],
             ),
             Light::Window => (
                 vec![
@@ -96,9 +96,9 @@ pub enum SkinTone {
 }
 
 /// What is left of white light in bloodless, unpigmented skin.
-const SCATTERING_BASE: Vec3 = Vec3::new(0.82, 0.68, 0.54);
+const SCATTERING_BASE: Vec3 = Vec3::new(0.82, 0.68, 0.47);
 /// Absorption of one unit of melanin.
-const MELANIN: Vec3 = Vec3::new(0.75, 1.05, 1.32);
+const MELANIN: Vec3 = Vec3::new(0.84, 1.05, 1.25);
 /// Absorption of one unit of haemoglobin; its ratios 0.30 : 1 : 0.55 are those of the pulse in a camera's R, G and B.
 pub(crate) const HAEMOGLOBIN: Vec3 = Vec3::new(0.30, 1.0, 0.55);
 
@@ -108,7 +108,7 @@ impl SkinTone {
 
     pub(crate) fn melanin(self) -> f32 {
         match self {
-            SkinTone::Light => 0.16,
+            SkinTone::Light => 0.20,
             SkinTone::Medium => 0.50,
             SkinTone::Tan => 0.90,
             SkinTone::Brown => 1.40,
@@ -118,7 +118,7 @@ impl SkinTone {
 
     /// How much the camera opens for this tone, 1 for the lightest: partly, as automatic exposure does.
     pub(crate) fn exposure(self) -> f32 {
-        (0.30 * (self.melanin() - SkinTone::Light.melanin()) * MELANIN.y).exp()
+        (0.28 * (self.melanin() - SkinTone::Light.melanin()) * MELANIN.y).exp()
     }
 }
 

@@ -13,6 +13,8 @@ const HAIR: Vec3 = Vec3::new(0.040, 0.026, 0.018);
 const SCLERA: Vec3 = Vec3::new(0.62, 0.57, 0.54);
 const TEETH: Vec3 = Vec3::new(0.58, 0.54, 0.45);
 const MOUTH_LINING: Vec3 = Vec3::new(0.20, 0.055, 0.050);
+/// Rounds of neighbour averaging at the hairline.
+const HAIRLINE_BLURS: usize = 3;
 /// Iris and pupil as angles from the eye's axis, radians: 6 mm and 2 mm on a 12 mm eyeball.
 const IRIS_RADIANS: f32 = 0.49;
 const PUPIL_RADIANS: f32 = 0.17;
@@ -26,7 +28,7 @@ pub(crate) struct Gloss {
 
 const SKIN_GLOSS: Gloss = Gloss { roughness: 0.45, f0: 0.028 };
 const LIP_GLOSS: Gloss = Gloss { roughness: 0.36, f0: 0.030 };
-const HAIR_GLOSS: Gloss = Gloss { roughness: 0.50, f0: 0.046 };
+const HAIR_GLOSS: Gloss = Gloss { roughness: 0.55, f0: 0.016 };
 const EYE_GLOSS: Gloss = Gloss { roughness: 0.16, f0: 0.035 };
 const MOUTH_GLOSS: Gloss = Gloss { roughness: 0.35, f0: 0.030 };
 
@@ -88,12 +90,13 @@ impl Materials {
         let noise = LatticeNoise::new(random);
         let anatomy = Anatomy::new(head);
         let painter = Painter { anatomy: &anatomy, noise, tone, neck: neck_range(head) };
-        let vertices = head
+        let mut vertices: Vec<VertexMaterial> = head
             .vertices
             .iter()
             .zip(&head.regions)
             .map(|(vertex, region)| painter.vertex(Vec3::from_array(*vertex), *region))
             .collect();
+        soften(&mut vertices, &head.triangles);
         let scalp: Vec<Vec3> = head
             .vertices
             .iter()
@@ -131,7 +134,7 @@ impl Materials {
         let lips = smoothstep(0.30, 0.70, vertex.lips);
         texel.gloss = blend(texel.gloss, LIP_GLOSS, lips);
         texel.skin *= 1.0 - lips;
-        if vertex.hair < 0.05 {
+        if vertex.hair < 0.10 {
             self.add_face_hair(rest, &mut texel);
         }
         if vertex.hair > 0.02 {
@@ -164,8 +167,8 @@ impl Materials {
     fn add_face_hair(&self, rest: Vec3, texel: &mut Texel) {
         for brow in &self.anatomy.brows {
             if let Some(place) = brow.locate(rest) {
-                let strands = self.noise.at(Vec3::new(place.along * 34.0, place.across * 1.2, rest.x.signum() * 9.0));
-                let cover = 0.82 * smoothstep(1.25, 0.45, place.across + 0.35 * strands);
+                let slant = Vec3::new(rest.x.abs() * 620.0 - rest.y * 480.0, rest.y * 160.0, rest.x.signum() * 9.0);
+                let cover = 0.72 * smoothstep(1.30, 0.35, place.across + 0.22 * self.noise.at(slant));
                 texel.albedo = texel.albedo.lerp(self.brow_albedo, cover);
                 texel.skin *= 1.0 - cover;
             }
@@ -186,7 +189,7 @@ impl Materials {
         let along = from_centre.z.atan2(from_centre.y + 0.03);
         let strands = 0.65 * self.noise.at(Vec3::new(around * 26.0, along * 3.0, 1.0))
             + 0.35 * self.noise.at(Vec3::new(around * 55.0, along * 5.0, 7.0));
-        let cover = smoothstep(0.30, 0.62, hair + 0.28 * strands);
+        let cover = smoothstep(0.32, 0.62, hair + 0.20 * strands);
         let albedo = HAIR * (1.0 + 0.75 * strands);
         texel.albedo = texel.albedo.lerp(albedo, cover);
         texel.gloss = blend(texel.gloss, HAIR_GLOSS, cover);
@@ -228,7 +231,7 @@ impl Painter<'_> {
                 + 0.07 * blotches
                 + 0.04 * flecks;
         let mut melanin =
-            self.tone.melanin() * (1.0 + 0.16 * at(&self.anatomy.orbits) + 0.06 * blotches + 0.03 * flecks);
+            self.tone.melanin() * (1.0 + 0.16 * at(&self.anatomy.orbits) + 0.08 * blotches + 0.05 * flecks);
         match region {
             Region::Lips => {
                 haemoglobin += 0.62;
@@ -258,6 +261,23 @@ impl Painter<'_> {
     /// The wave climbs the face in about 30 ms, with small detours.
     fn delay_seconds(&self, rest: Vec3) -> f32 {
         (0.16 * rest.y + 0.006 * self.noise.at(rest * 28.0 + 80.0)).clamp(-0.025, 0.025)
+    }
+}
+
+/// Blurs the borders of hair and lips over about two triangles, so that texture, not the mesh, decides where they run.
+fn soften(vertices: &mut [VertexMaterial], triangles: &[[u32; 3]]) {
+    for _ in 0..HAIRLINE_BLURS {
+        let mut sums: Vec<(f32, f32)> = vertices.iter().map(|vertex| (2.0 * vertex.hair, 2.0)).collect();
+        for triangle in triangles {
+            for corner in 0..3 {
+                let sum = &mut sums[triangle[corner] as usize];
+                sum.0 += vertices[triangle[(corner + 1) % 3] as usize].hair;
+                sum.1 += 1.0;
+            }
+        }
+        for (vertex, (sum, count)) in vertices.iter_mut().zip(sums) {
+            vertex.hair = sum / count;
+        }
     }
 }
 

@@ -28,6 +28,8 @@ pub(crate) struct Gesture {
     pub(crate) spread: f64,
     /// Lips rounded forward, in [0, 1].
     pub(crate) pucker: f64,
+    /// A smile, in [0, 1].
+    pub(crate) smile: f64,
     /// Brows up, in [−0.3, 1].
     pub(crate) brows: f64,
     /// Lids, 0 = open, 1 = closed.
@@ -36,10 +38,40 @@ pub(crate) struct Gesture {
     pub(crate) gaze_radians: [f64; 2],
 }
 
+/// Mode numbers of the built-in head's expression basis.
+mod mode {
+    pub const SMILE: [usize; 2] = [0, 1];
+    pub const STRETCH: usize = 4;
+    pub const PUCKER: usize = 5;
+    pub const FUNNEL: usize = 6;
+    pub const UPPER_LIP_UP: usize = 7;
+    pub const LOWER_LIP_DOWN: usize = 9;
+    pub const INNER_BROWS_UP: usize = 15;
+    pub const OUTER_BROWS_UP: [usize; 2] = [16, 17];
+    pub const BROWS_DOWN: usize = 18;
+}
+
 impl Gesture {
-    /// Expression coefficients of a model with this many modes.
+    /// Expression coefficients of a model with `count` modes in the built-in head's order; modes beyond are left out.
     pub(crate) fn coefficients(&self, count: usize) -> Vec<f32> {
-        vec![0.0; count]
+        let mut coefficients = vec![0.0f32; count];
+        let mut add = |mode: usize, value: f64| {
+            if let Some(coefficient) = coefficients.get_mut(mode) {
+                *coefficient += value as f32;
+            }
+        };
+        for side in 0..2 {
+            add(mode::SMILE[side], 0.5 * self.smile + 0.15 * self.spread);
+            add(mode::OUTER_BROWS_UP[side], 0.8 * self.brows.max(0.0));
+        }
+        add(mode::STRETCH, 0.6 * self.spread);
+        add(mode::PUCKER, 0.7 * self.pucker);
+        add(mode::FUNNEL, 0.5 * self.pucker);
+        add(mode::UPPER_LIP_UP, 0.25 * self.open);
+        add(mode::LOWER_LIP_DOWN, 0.35 * self.open);
+        add(mode::INNER_BROWS_UP, 0.7 * self.brows.max(0.0));
+        add(mode::BROWS_DOWN, (-self.brows).max(0.0));
+        coefficients
     }
 }
 
@@ -50,6 +82,7 @@ pub(crate) struct Motion {
     sway: [Wander; 3],
     shift: [Wander; 3],
     brows: Wander,
+    smile: Wander,
     syllables: Vec<Syllable>,
     blinks_seconds: Vec<f64>,
     glances: Vec<Glance>,
@@ -65,6 +98,7 @@ impl Motion {
             sway: std::array::from_fn(|axis| wander(axis as u64, [0.05, 0.35])),
             shift: std::array::from_fn(|axis| wander(3 + axis as u64, [0.04, 0.30])),
             brows: wander(6, [0.08, 0.5]),
+            smile: wander(8, [0.05, 0.25]),
             syllables: speech(Random::new(seed, Stream::Speech), seconds),
             blinks_seconds: blinks(Random::new(seed, Stream::Blinks), seconds),
             glances: glances(random.substream(7), seconds),
@@ -84,7 +118,9 @@ impl Motion {
 
     /// What the face does at a time.
     pub(crate) fn gesture(&self, seconds: f64) -> Gesture {
-        let mut gesture = Gesture { brows: self.scale * brow_height(self.brows.at(seconds)), ..Gesture::default() };
+        let smile = self.scale * smooth(self.smile.at(seconds) * 1.5);
+        let brows = self.scale * brow_height(self.brows.at(seconds));
+        let mut gesture = Gesture { smile, brows, ..Gesture::default() };
         for syllable in &self.syllables {
             let bump = self.scale * bump((seconds - syllable.seconds) / syllable.width_seconds);
             gesture.open += syllable.open * bump;
