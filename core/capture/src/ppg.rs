@@ -1,0 +1,189 @@
+//! Contact PPG from a CSV file: a header `time_s,ppg`, one sample a line, any sampling rate.
+//!
+//! Reading is bounded in memory and tolerant of what spreadsheets leave behind (blank lines, spaces, a byte-order mark,
+//! CRLF, further columns, semicolons). It is not tolerant of numbers that are not numbers: a pulse with NaN in it has no
+//! right answer, so the line is named and nothing is guessed.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use heartian_space::{Clip, Series, SpaceError};
+
+/// Largest file read, bytes: a day at 1 kHz is below.
+const MAX_BYTES: u64 = 1 << 31;
+/// How far a trace may end before the clip's last frame and still count as covering it, in frame intervals.
+const SLACK_FRAMES: f64 = 1.5;
+
+/// What can be wrong with a PPG file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PpgError {
+    /// It cannot be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A line does not hold two numbers.
+    #[error("{}:{line}: {reason}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// 1-based line.
+        line: usize,
+        /// What is wrong there, and what would be right.
+        reason: String,
+    },
+    /// The samples contradict one another or do not reach over the clip.
+    #[error("{}: {source}; {remedy}", path.display())]
+    Series {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: SpaceError,
+        /// What to do.
+        remedy: &'static str,
+    },
+}
+
+/// A PPG trace as recorded, and on the clip's frame times.
+pub struct ClipPpg {
+    /// At its own rate, from one second before to one second after the clip as far as it goes; the clip starts at 0 s.
+    pub contact: Series,
+    /// At the clip's frame times, by linear interpolation.
+    pub at_frames: Series,
+}
+
+/// Reads the trace of a recording whose clip starts at `start_seconds` of it.
+///
+/// # Errors
+/// When the file cannot be read, a line is malformed, or the trace is shorter than the clip.
+pub fn read_clip_ppg(path: &Path, clip: &Clip, start_seconds: f64) -> Result<ClipPpg, PpgError> {
+    let whole = read_ppg(path)?;
+    let series = |source| PpgError::Series {
+        path: path.to_owned(),
+        source,
+        remedy: "give a PPG that covers the clip, or read a shorter part of it with `seconds`",
+    };
+    let shifted: Vec<f64> = whole.times_seconds.iter().map(|time| time - start_seconds).collect();
+    let whole = Series::new(shifted, whole.values).map_err(series)?;
+    let slack_seconds = SLACK_FRAMES / clip.frame_rate_hertz().max(1.0);
+    let at_frames = whole.resampled(&clip.times_seconds, slack_seconds).map_err(series)?;
+    let (first, last) = (clip.times_seconds[0] - 1.0, clip.times_seconds[clip.len() - 1] + 1.0);
+    let inside = |time: f64| (first..=last).contains(&time);
+    let kept = whole.times_seconds.iter().copied().zip(whole.values.iter().copied()).filter(|(time, _)| inside(*time));
+    let (times, values) = kept.unzip();
+    Ok(ClipPpg { contact: Series::new(times, values).map_err(series)?, at_frames })
+}
+
+/// Reads a whole trace.
+///
+/// # Errors
+/// When the file cannot be read, or a line does not hold two finite numbers in order of time.
+pub fn read_ppg(path: &Path) -> Result<Series, PpgError> {
+    let read = |source| PpgError::Read { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(read)?;
+    let (mut times, mut values) = (Vec::new(), Vec::new());
+    let mut separator = ',';
+    for (index, line) in BufReader::new(file.take(MAX_BYTES)).lines().enumerate() {
+        let wrong = |reason: String| PpgError::Line { path: path.to_owned(), line: index + 1, reason };
+        let line = line.map_err(read)?;
+        let line = line.trim_start_matches('\u{feff}').trim();
+        if index == 0 {
+            separator = header_separator(line).map_err(wrong)?;
+        } else if !line.is_empty() {
+            let (time, value) = sample(line, separator).map_err(wrong)?;
+            times.push(time);
+            values.push(value);
+        }
+    }
+    let remedy = "times must increase from line to line";
+    Series::new(times, values).map_err(|source| PpgError::Series { path: path.to_owned(), source, remedy })
+}
+
+fn header_separator(line: &str) -> Result<char, String> {
+    let is_header = |separator: char| {
+        let mut columns = line.split(separator).map(|column| column.trim().to_ascii_lowercase());
+        columns.next().as_deref() == Some("time_s") && columns.next().as_deref() == Some("ppg")
+    };
+    let found = [',', ';', '\t'].into_iter().find(|separator| is_header(*separator));
+    found.ok_or_else(|| {
+        let shown: String = line.chars().take(40).collect();
+        format!("the first line is `{shown}`; it must be the header `time_s,ppg`")
+    })
+}
+
+fn sample(line: &str, separator: char) -> Result<(f64, f64), String> {
+    let mut columns = line.split(separator).map(str::trim);
+    let mut number = |what: &str| {
+        let text = columns.next().unwrap_or("");
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(format!(
+                "{what} is `{}`, not a finite number; remove the line or interpolate",
+                text.chars().take(40).collect::<String>()
+            )),
+        }
+    };
+    Ok((number("the time")?, number("the PPG value")?))
+}
+
+#[cfg(test)]
+mod tests {
+    use heartian_space::Sequence;
+
+    use super::*;
+
+    fn read(text: &str) -> Result<Series, PpgError> {
+        let name =
+            format!("heartian-ppg-{}-{:x}.csv", std::process::id(), text.len() * 31 + usize::from(text.as_bytes()[0]));
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, text).expect("a writable temporary folder");
+        let series = read_ppg(&path);
+        std::fs::remove_file(&path).expect("it was just written");
+        series
+    }
+
+    #[test]
+    fn spreadsheets_are_forgiven() -> Result<(), PpgError> {
+        let series = read("\u{feff}Time_s; PPG ;note\r\n0; 512;a\r\n\r\n0.01;5.2e2\r\n")?;
+        assert_eq!(series.values, [512.0, 520.0]);
+        Ok(())
+    }
+
+    #[test]
+    fn what_has_no_right_answer_is_named_by_its_line() {
+        for (text, part) in [
+            ("0,1\n", "header `time_s,ppg`"),
+            ("time_s,ppg\n0,1\n0.1,NaN\n", ":3: the PPG value is `NaN`"),
+            ("time_s,ppg\n0,1\nx,2\n", ":3: the time is `x`"),
+            ("time_s,ppg\n0\n", "the PPG value is ``"),
+            ("time_s,ppg\n0,1\n0,2\n", "must increase"),
+            ("time_s,ppg\n", "is empty"),
+        ] {
+            let message = read(text).err().map(|error| error.to_string()).unwrap_or_default();
+            assert!(message.contains(part), "{text:?}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_trace_shorter_than_its_clip_is_refused() -> Result<(), Box<dyn std::error::Error>> {
+        let times_seconds: Vec<f64> = (0..90).map(|k| f64::from(k) / 30.0).collect();
+        let sequence = Sequence { frames: vec![0; 90 * 3], alpha: vec![0; 90], times_seconds };
+        let clip = Clip::new("input", 1, 1, sequence)?;
+        let path = std::env::temp_dir().join(format!("heartian-short-{}.csv", std::process::id()));
+        let lines = |seconds: f64| {
+            (0..=(seconds * 10.0) as u32).map(|k| format!("{},{k}\n", f64::from(k) / 10.0)).collect::<String>()
+        };
+        std::fs::write(&path, format!("time_s,ppg\n{}", lines(4.0)))?;
+        let ppg = read_clip_ppg(&path, &clip, 0.5)?;
+        assert!((ppg.at_frames.values[0] - 5.0).abs() < 1e-9, "the clip starts half a second in");
+        std::fs::write(&path, format!("time_s,ppg\n{}", lines(2.0)))?;
+        let message = read_clip_ppg(&path, &clip, 0.0).err().map(|error| error.to_string()).unwrap_or_default();
+        std::fs::remove_file(&path)?;
+        assert!(message.contains("0.000–2.000 s but 0.000–2.967 s is needed"), "{message}");
+        Ok(())
+    }
+}
