@@ -1,1 +1,7 @@
-//! Nodes PhaseModel and MlpResidual.
+//! The nodes that write the heartbeat: phase and waveform, and the residual network.
+
+mod mlp_residual;
+mod phase_model;
+
+pub use mlp_residual::MlpResidual;
+pub use phase_model::{PhaseModel, Preset, WeakPrior};
