@@ -2,7 +2,9 @@
 //! when they lie beside them: `bench DIRECTORY TAG [CHANNELS]`, e.g. `bench ../shared/peers/splat 20k 3`.
 
 use heartian_space::Camera;
-use heartian_splat::{FrameGradient, Gaussians, RasterOptions, RawGaussians, backward, composite, prepare, read_ply, simd_level};
+use heartian_splat::{
+    FrameGradient, Gaussians, RasterOptions, RawGaussians, backward, composite, prepare, read_ply, simd_level,
+};
 use std::path::Path;
 use std::time::Instant;
 
@@ -58,12 +60,19 @@ fn main() -> Fallible<()> {
     let options = RasterOptions { near_metres: 0.01, ..RasterOptions::default() };
     let weights: Vec<f32> = npyz::NpyFile::new(&std::fs::read(directory.join("weights.npy"))?[..])?.into_vec()?;
     let pixels = camera.width * camera.height;
-    let planar: Vec<f32> = (0..channels).flat_map(|c| (0..pixels).map(move |p| (c, p))).map(|(c, p)| weights[3 * p + c % 3]).collect();
+    let planar: Vec<f32> =
+        (0..channels).flat_map(|c| (0..pixels).map(move |p| (c, p))).map(|(c, p)| weights[3 * p + c % 3]).collect();
     let gradient = FrameGradient { planes: &planar, ..FrameGradient::default() };
 
     let prepared = prepare(&scene, &camera, &options)?;
     let frame = composite(&prepared);
-    println!("{tag}, {channels} channels, {:?}, {} threads, {} drawn, {} entries", simd_level(), rayon::current_num_threads(), prepared.drawn(), prepared.entries());
+    println!(
+        "{tag}, {channels} channels, {:?}, {} threads, {} drawn, {} entries",
+        simd_level(),
+        rayon::current_num_threads(),
+        prepared.drawn(),
+        prepared.entries()
+    );
     let runs = 40;
     let t = timed(runs, || drop(prepare(&scene, &camera, &options)));
     println!("prepare           {t}");
@@ -87,15 +96,27 @@ fn main() -> Fallible<()> {
 }
 
 /// Largest image error and relative L2 error of each gradient against the f64 references.
-fn compare(directory: &Path, tag: &str, raw: &RawGaussians, planes: &[f32], weights: &[f32], camera: &Camera, options: &RasterOptions) -> Fallible<()> {
-    let reference: Vec<f64> = npyz::NpyFile::new(&std::fs::read(directory.join(format!("ref_{tag}.npy")))?[..])?.into_vec()?;
+fn compare(
+    directory: &Path,
+    tag: &str,
+    raw: &RawGaussians,
+    planes: &[f32],
+    weights: &[f32],
+    camera: &Camera,
+    options: &RasterOptions,
+) -> Fallible<()> {
+    let reference: Vec<f64> =
+        npyz::NpyFile::new(&std::fs::read(directory.join(format!("ref_{tag}.npy")))?[..])?.into_vec()?;
     let pixels = planes.len() / 3;
-    let worst = (0..planes.len()).map(|i| (f64::from(planes[i]) - reference[3 * (i % pixels) + i / pixels]).abs()).fold(0.0, f64::max);
+    let worst = (0..planes.len())
+        .map(|i| (f64::from(planes[i]) - reference[3 * (i % pixels) + i / pixels]).abs())
+        .fold(0.0, f64::max);
     println!("image: largest error {worst:.2e}");
     let activated = raw.activate();
     let scene = raw.view(&activated);
     let (prepared, frame) = heartian_splat::render(&scene, camera, options)?;
-    let mut gradients = backward(&scene, &prepared, &frame, &FrameGradient { planes: weights, ..FrameGradient::default() })?;
+    let mut gradients =
+        backward(&scene, &prepared, &frame, &FrameGradient { planes: weights, ..FrameGradient::default() })?;
     RawGaussians::chain(&activated, &mut gradients);
     let mut archive = npyz::npz::NpzArchive::open(directory.join(format!("ref_grad_{tag}.npz")))?;
     for (name, own) in [

@@ -137,7 +137,11 @@ mod tests {
     fn a_tile_lists_exactly_the_splats_that_reach_its_pixels() {
         let size = [96usize, 64usize];
         for seed in 0..400u32 {
-            let unit = |k: u32| (seed.wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(0x9E37_79B9)).wrapping_mul(1_597_334_677) >> 8) as f32 / 16_777_216.0;
+            let unit = |k: u32| {
+                (seed.wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(0x9E37_79B9)).wrapping_mul(1_597_334_677)
+                    >> 8) as f32
+                    / 16_777_216.0
+            };
             let (xx, yy) = (0.3 + 120.0 * unit(1) * unit(2), 0.3 + 120.0 * unit(3) * unit(4));
             let xy = (2.0 * unit(5) - 1.0) * 0.99 * (xx * yy - 0.29).max(0.0).sqrt();
             let splat = Splat {
@@ -158,7 +162,8 @@ mod tests {
                         let px = (tile % tiles.columns * TILE_WIDTH + x) as f64 + 0.5 - f64::from(splat.mean[0]);
                         let py = (tile / tiles.columns * TILE_HEIGHT + y) as f64 + 0.5 - f64::from(splat.mean[1]);
                         let u = px - f64::from(splat.shear) * py;
-                        nearest = nearest.min(u * u / f64::from(splat.variance) + py * py * f64::from(splat.precision_y));
+                        nearest =
+                            nearest.min(u * u / f64::from(splat.variance) + py * py * f64::from(splat.precision_y));
                     }
                 }
                 let reach = f64::from(splat.reach);

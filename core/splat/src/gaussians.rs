@@ -86,7 +86,11 @@ pub fn sigmoid(x: f32) -> f32 {
 
 /// Inverse of [`sigmoid`], clamped to ±16.
 pub fn logit(p: f32) -> f32 {
-    if p.is_nan() { 0.0 } else { (p.max(f32::MIN_POSITIVE).ln() - (1.0 - p).max(f32::MIN_POSITIVE).ln()).clamp(-16.0, 16.0) }
+    if p.is_nan() {
+        0.0
+    } else {
+        (p.max(f32::MIN_POSITIVE).ln() - (1.0 - p).max(f32::MIN_POSITIVE).ln()).clamp(-16.0, 16.0)
+    }
 }
 
 /// A scene in the unconstrained parameters of 3D Gaussian splatting files: log scales and opacity logits.

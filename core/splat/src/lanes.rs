@@ -11,6 +11,7 @@ mod array;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+pub(crate) mod wide;
 
 pub(crate) use array::Array;
 #[cfg(target_arch = "x86_64")]

@@ -12,8 +12,8 @@ use std::path::Path;
 const SH_CONSTANT: f32 = 0.282_094_8;
 /// The properties in the order that other programs write.
 const NAMES: [&str; 17] = [
-    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
-    "rot_2", "rot_3",
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
+    "rot_1", "rot_2", "rot_3",
 ];
 const HEADER_MOST_BYTES: usize = 65_536;
 
@@ -38,7 +38,8 @@ pub fn write_ply(path: &Path, scene: &RawGaussians) -> Result<(), SplatError> {
 }
 
 fn to_bytes(scene: &RawGaussians) -> Vec<u8> {
-    let mut bytes = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", scene.means.len()).into_bytes();
+    let mut bytes =
+        format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", scene.means.len()).into_bytes();
     for name in NAMES {
         bytes.extend_from_slice(format!("property float {name}\n").as_bytes());
     }
@@ -67,9 +68,12 @@ fn parse_header(header: &str) -> Result<Layout, String> {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words.as_slice() {
             ["format", "binary_little_endian", ..] | ["comment" | "obj_info", ..] | [] => {}
-            ["format", other, ..] => return Err(format!("format {other} is not read; write it as binary_little_endian")),
+            ["format", other, ..] => {
+                return Err(format!("format {other} is not read; write it as binary_little_endian"));
+            }
             ["element", "vertex", count] => {
-                layout.count = count.parse().map_err(|_| format!("a count of vertices, not {count:?}, was expected"))?;
+                layout.count =
+                    count.parse().map_err(|_| format!("a count of vertices, not {count:?}, was expected"))?;
                 in_vertex = true;
             }
             ["element", ..] if !in_vertex => return Err("the vertices must be its first element".into()),
@@ -107,7 +111,12 @@ fn parse(bytes: &[u8]) -> Result<RawGaussians, String> {
     let layout = parse_header(header)?;
     let body = &bytes[end + END.len()..];
     if layout.count.checked_mul(layout.stride).is_none_or(|wanted| wanted > body.len()) {
-        return Err(format!("it is cut short: {} vertices of {} bytes do not fit {}", layout.count, layout.stride, body.len()));
+        return Err(format!(
+            "it is cut short: {} vertices of {} bytes do not fit {}",
+            layout.count,
+            layout.stride,
+            body.len()
+        ));
     }
     let mut at = [0; 17];
     for (place, offset) in layout.offsets.iter().enumerate() {
@@ -152,7 +161,10 @@ mod tests {
         assert!(parse(&bytes[..bytes.len() - 1]).is_err_and(|e| e.contains("cut short")));
         assert!(parse(b"plx").is_err());
         assert!(parse(b"ply\nformat ascii 1.0\nend_header\n").is_err_and(|e| e.contains("ascii")));
-        assert!(parse(b"ply\nelement vertex 1\nproperty float x\nend_header\n\0\0\0\0").is_err_and(|e| e.contains("missing")));
+        assert!(
+            parse(b"ply\nelement vertex 1\nproperty float x\nend_header\n\0\0\0\0")
+                .is_err_and(|e| e.contains("missing"))
+        );
         assert!(parse(b"ply\nelement vertex 18446744073709551615\nproperty float x\nend_header\n").is_err());
     }
 }

@@ -159,7 +159,8 @@ pub(crate) fn project(view: &View, gaussians: &Gaussians, i: usize) -> Option<Sp
     let opacity = gaussians.opacities[i].min(1.0);
     let (mean, scale) = (Vec3::from_array(gaussians.means[i]), Vec3::from_array(gaussians.scales[i]));
     // A NaN opacity fails the first test: `min` would have made it 1, so it is asked before.
-    let drawable = gaussians.opacities[i] >= ALPHA_MIN && mean.is_finite() && scale.is_finite() && scale.min_element() >= 0.0;
+    let drawable =
+        gaussians.opacities[i] >= ALPHA_MIN && mean.is_finite() && scale.is_finite() && scale.min_element() >= 0.0;
     if !drawable || gaussians.rotations[i].iter().any(|q| !q.is_finite()) {
         return None;
     }
@@ -255,10 +256,21 @@ fn rotation_gradient(rotation: [f32; 4], d: &Mat3) -> [f32; 4] {
     let m = |row: usize, column: usize| d.col(column)[row];
     let unit = [
         2.0 * (x * (m(2, 1) - m(1, 2)) + y * (m(0, 2) - m(2, 0)) + z * (m(1, 0) - m(0, 1))),
-        2.0 * (-2.0 * x * (m(1, 1) + m(2, 2)) + y * (m(0, 1) + m(1, 0)) + z * (m(0, 2) + m(2, 0)) + w * (m(2, 1) - m(1, 2))),
-        2.0 * (x * (m(0, 1) + m(1, 0)) - 2.0 * y * (m(0, 0) + m(2, 2)) + z * (m(1, 2) + m(2, 1)) + w * (m(0, 2) - m(2, 0))),
-        2.0 * (x * (m(0, 2) + m(2, 0)) + y * (m(1, 2) + m(2, 1)) - 2.0 * z * (m(0, 0) + m(1, 1)) + w * (m(1, 0) - m(0, 1))),
+        2.0 * (-2.0 * x * (m(1, 1) + m(2, 2))
+            + y * (m(0, 1) + m(1, 0))
+            + z * (m(0, 2) + m(2, 0))
+            + w * (m(2, 1) - m(1, 2))),
+        2.0 * (x * (m(0, 1) + m(1, 0)) - 2.0 * y * (m(0, 0) + m(2, 2))
+            + z * (m(1, 2) + m(2, 1))
+            + w * (m(0, 2) - m(2, 0))),
+        2.0 * (x * (m(0, 2) + m(2, 0)) + y * (m(1, 2) + m(2, 1)) - 2.0 * z * (m(0, 0) + m(1, 1))
+            + w * (m(1, 0) - m(0, 1))),
     ];
     let along = w * unit[0] + x * unit[1] + y * unit[2] + z * unit[3];
-    [(unit[0] - w * along) / norm, (unit[1] - x * along) / norm, (unit[2] - y * along) / norm, (unit[3] - z * along) / norm]
+    [
+        (unit[0] - w * along) / norm,
+        (unit[1] - x * along) / norm,
+        (unit[2] - y * along) / norm,
+        (unit[3] - z * along) / norm,
+    ]
 }

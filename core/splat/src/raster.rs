@@ -107,13 +107,16 @@ unsafe fn spans<V: Lanes>(record: &[f32], job: &TileJob, rows: &mut Rows) {
             // Rounding half a pixel up is the ceiling for the first column, and one past the floor for the last.
             let first = centre.sub(half).add(half_pixel).round().max(V::zero());
             // Rows without a point of the ellipse, and rows below the picture, end before they start.
-            let inside = V::both(rest.ge(V::zero()), V::load(IOTA.as_ptr()).lt(V::splat(job.size[1] as f32 - row as f32)));
+            let inside =
+                V::both(rest.ge(V::zero()), V::load(IOTA.as_ptr()).lt(V::splat(job.size[1] as f32 - row as f32)));
             let end = centre.add(half).add(half_pixel).round().min(V::splat(job.size[0] as f32)).keep(inside);
             first.store(rows.first.as_mut_ptr().add(row));
             end.store(rows.end.as_mut_ptr().add(row));
             centre.store(rows.centre.as_mut_ptr().add(row));
             dy.store(rows.dy.as_mut_ptr().add(row));
-            V::splat(-0.5 * std::f32::consts::LOG2_E).mul_add(fall, V::splat(record[5])).store(rows.peak.as_mut_ptr().add(row));
+            V::splat(-0.5 * std::f32::consts::LOG2_E)
+                .mul_add(fall, V::splat(record[5]))
+                .store(rows.peak.as_mut_ptr().add(row));
         }
     }
 }
@@ -191,7 +194,12 @@ unsafe fn rows_alive<V: Lanes>(transmittance: &[f32; BUFFER]) -> u32 {
 /// # Safety
 /// Inside a function with the features of `V`.
 #[inline(always)]
-unsafe fn for_each_vector<V: Lanes>(record: &[f32], job: &TileJob, alive: u32, mut visit: impl FnMut(usize, usize, &Rows)) {
+unsafe fn for_each_vector<V: Lanes>(
+    record: &[f32],
+    job: &TileJob,
+    alive: u32,
+    mut visit: impl FnMut(usize, usize, &Rows),
+) {
     let mut rows = Rows::default();
     // SAFETY: V's features are here by contract.
     unsafe { spans::<V>(record, job, &mut rows) };
@@ -338,6 +346,58 @@ unsafe fn backward_tile<V: Lanes, const C: usize>(job: &TileJob, picture: &Plane
     slots[done * (SLOT_HEAD + C)..].fill(0.0);
 }
 
+/// Calls `visit(splat, its pixels as (x, y, α·T))` for each entry of a tile that shows, front to back.
+///
+/// Plain lanes: this runs once a frame, not in a fitting loop.
+pub(crate) fn weights(
+    job: &TileJob,
+    channels: usize,
+    visit: &mut dyn FnMut(u32, &mut dyn Iterator<Item = (usize, usize, f32)>),
+) {
+    let stride = RECORD_HEAD + channels;
+    let mut transmittance = [-1.0f32; BUFFER];
+    for row in transmittance.chunks_exact_mut(ROW_STRIDE).take(job.size[1]) {
+        row[..job.size[0]].fill(1.0);
+    }
+    let mut found: Vec<(usize, usize, f32)> = Vec::with_capacity(TILE_WIDTH * TILE_HEIGHT);
+    for &entry in job.entries {
+        let record = &job.records[entry as usize * stride..][..stride];
+        found.clear();
+        weigh_entry(job, record, &mut transmittance, &mut found);
+        if !found.is_empty() {
+            visit(entry, &mut found.drain(..));
+        }
+    }
+}
+
+/// # Safety
+/// Inside a function with the features of `V`.
+#[inline(always)]
+unsafe fn weigh_entry_lanes<V: Lanes>(
+    job: &TileJob,
+    record: &[f32],
+    transmittance: &mut [f32; BUFFER],
+    found: &mut Vec<(usize, usize, f32)>,
+) {
+    // SAFETY: as in `forward_tile`.
+    unsafe {
+        let falloff = V::splat(record[7]);
+        for_each_vector::<V>(record, job, u32::MAX, |row, x, rows| {
+            let u = V::load(IOTA.as_ptr()).add(V::splat(x as f32 - rows.centre[row]));
+            let at = transmittance.as_mut_ptr().add(row * ROW_STRIDE + x);
+            let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(at));
+            step.next.store(at);
+            let mut lanes = [0.0; MAX_LANES];
+            step.weight.store(lanes.as_mut_ptr());
+            found.extend(lanes.iter().enumerate().filter(|(_, w)| **w > 0.0).map(|(i, &w)| (x + i, row, w)));
+        });
+    }
+}
+
+dispatched! {
+    /// Composites one splat into the transmittance and notes where it shows.
+    fn weigh_entry(job: &TileJob, record: &[f32], transmittance: &mut [f32; BUFFER], found: &mut Vec<(usize, usize, f32)>) = weigh_entry_lanes;
+}
 dispatched! {
     /// [`forward_tile`] at the machine's level.
     ///

@@ -78,18 +78,54 @@ pub struct FrameGradient<'a> {
 macro_rules! with_channels {
     ($channels:expr, $body:expr) => {
         match $channels {
-            1 => { const C: usize = 1; $body }
-            2 => { const C: usize = 2; $body }
-            3 => { const C: usize = 3; $body }
-            4 => { const C: usize = 4; $body }
-            5 => { const C: usize = 5; $body }
-            6 => { const C: usize = 6; $body }
-            7 => { const C: usize = 7; $body }
-            8 => { const C: usize = 8; $body }
-            9 => { const C: usize = 9; $body }
-            10 => { const C: usize = 10; $body }
-            11 => { const C: usize = 11; $body }
-            _ => { const C: usize = 12; $body }
+            1 => {
+                const C: usize = 1;
+                $body
+            }
+            2 => {
+                const C: usize = 2;
+                $body
+            }
+            3 => {
+                const C: usize = 3;
+                $body
+            }
+            4 => {
+                const C: usize = 4;
+                $body
+            }
+            5 => {
+                const C: usize = 5;
+                $body
+            }
+            6 => {
+                const C: usize = 6;
+                $body
+            }
+            7 => {
+                const C: usize = 7;
+                $body
+            }
+            8 => {
+                const C: usize = 8;
+                $body
+            }
+            9 => {
+                const C: usize = 9;
+                $body
+            }
+            10 => {
+                const C: usize = 10;
+                $body
+            }
+            11 => {
+                const C: usize = 11;
+                $body
+            }
+            _ => {
+                const C: usize = 12;
+                $body
+            }
         }
     };
 }
@@ -119,8 +155,11 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
     let gaussian_of_splat: Vec<u32> = order.iter().map(|&i| drawn[i as usize].0).collect();
     let stride = RECORD_HEAD + channels;
     let mut records = vec![0.0; splats.len() * stride];
-    records.par_chunks_mut(stride * CHUNK).zip(splats.par_chunks(CHUNK)).zip(gaussian_of_splat.par_chunks(CHUNK)).for_each(
-        |((records, splats), indices)| {
+    records
+        .par_chunks_mut(stride * CHUNK)
+        .zip(splats.par_chunks(CHUNK))
+        .zip(gaussian_of_splat.par_chunks(CHUNK))
+        .for_each(|((records, splats), indices)| {
             for ((record, splat), &i) in records.chunks_exact_mut(stride).zip(splats).zip(indices) {
                 let mut features = [0.0; MAX_CHANNELS];
                 let own = &gaussians.features[i as usize * gaussians.channels..][..gaussians.channels];
@@ -132,10 +171,18 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
                 }
                 raster::write_record(splat, &features[..channels], record);
             }
-        },
-    );
+        });
     let tiles = bin(&splats, [camera.width, camera.height]);
-    Ok(Prepared { camera: *camera, options: *options, count: gaussians.len(), channels, splats, gaussian_of_splat, records, tiles })
+    Ok(Prepared {
+        camera: *camera,
+        options: *options,
+        count: gaussians.len(),
+        channels,
+        splats,
+        gaussian_of_splat,
+        records,
+        tiles,
+    })
 }
 
 fn check_camera(camera: &Camera) -> Result<(), SplatError> {
@@ -213,7 +260,11 @@ fn composite_into<const C: usize>(prepared: &Prepared, frame: &mut Frame) {
 ///
 /// # Errors
 /// As [`prepare`].
-pub fn render(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) -> Result<(Prepared, Frame), SplatError> {
+pub fn render(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    options: &RasterOptions,
+) -> Result<(Prepared, Frame), SplatError> {
     let prepared = prepare(gaussians, camera, options)?;
     let frame = composite(&prepared);
     Ok((prepared, frame))
@@ -294,34 +345,40 @@ fn gather(gaussians: &Gaussians, prepared: &Prepared, slots: &[f32]) -> SceneGra
         weights: vec![0.0; n],
         radii_px: vec![0.0; n],
     };
-    let rows = out.means.par_chunks_mut(CHUNK).zip(out.scales.par_chunks_mut(CHUNK)).zip(out.rotations.par_chunks_mut(CHUNK));
+    let rows =
+        out.means.par_chunks_mut(CHUNK).zip(out.scales.par_chunks_mut(CHUNK)).zip(out.rotations.par_chunks_mut(CHUNK));
     let rows = rows.zip(out.opacities.par_chunks_mut(CHUNK)).zip(out.features.par_chunks_mut(CHUNK * channels));
-    let rows = rows.zip(out.means_px.par_chunks_mut(CHUNK)).zip(out.weights.par_chunks_mut(CHUNK)).zip(out.radii_px.par_chunks_mut(CHUNK));
-    rows.enumerate().for_each(|(chunk, (((((((means, scales), rotations), opacities), features), means_px), weights), radii))| {
-        for k in 0..means.len() {
-            let i = chunk * CHUNK + k;
-            let at = splat_of_gaussian[i] as usize;
-            let Some(splat) = prepared.splats.get(at) else { continue };
-            let range = prepared.tiles.place_offsets[at] as usize..prepared.tiles.place_offsets[at + 1] as usize;
-            let mut sum = [0.0f32; SLOT_HEAD + MAX_CHANNELS];
-            for &place in &prepared.tiles.places[range] {
-                for (s, v) in sum.iter_mut().zip(&slots[place as usize * stride..][..stride]) {
-                    *s += v;
+    let rows = rows
+        .zip(out.means_px.par_chunks_mut(CHUNK))
+        .zip(out.weights.par_chunks_mut(CHUNK))
+        .zip(out.radii_px.par_chunks_mut(CHUNK));
+    rows.enumerate().for_each(
+        |(chunk, (((((((means, scales), rotations), opacities), features), means_px), weights), radii))| {
+            for k in 0..means.len() {
+                let i = chunk * CHUNK + k;
+                let at = splat_of_gaussian[i] as usize;
+                let Some(splat) = prepared.splats.get(at) else { continue };
+                let range = prepared.tiles.place_offsets[at] as usize..prepared.tiles.place_offsets[at + 1] as usize;
+                let mut sum = [0.0f32; SLOT_HEAD + MAX_CHANNELS];
+                for &place in &prepared.tiles.places[range] {
+                    for (s, v) in sum.iter_mut().zip(&slots[place as usize * stride..][..stride]) {
+                        *s += v;
+                    }
                 }
+                let on_depth = if prepared.options.depth { sum[SLOT_HEAD + channels] } else { 0.0 };
+                let on_splat = from_moments(splat, &sum, on_depth);
+                let geometry = project_backward(&view, gaussians, i, splat, &on_splat);
+                means[k] = geometry.mean.to_array();
+                scales[k] = geometry.scale.to_array();
+                rotations[k] = geometry.rotation;
+                opacities[k] = if gaussians.opacities[i] <= 1.0 { sum[0] / splat.opacity } else { 0.0 };
+                features[k * channels..][..channels].copy_from_slice(&sum[SLOT_HEAD..][..channels]);
+                means_px[k] = on_splat.mean.to_array();
+                weights[k] = sum[6];
+                radii[k] = splat.extent()[0].max(splat.extent()[1]);
             }
-            let on_depth = if prepared.options.depth { sum[SLOT_HEAD + channels] } else { 0.0 };
-            let on_splat = from_moments(splat, &sum, on_depth);
-            let geometry = project_backward(&view, gaussians, i, splat, &on_splat);
-            means[k] = geometry.mean.to_array();
-            scales[k] = geometry.scale.to_array();
-            rotations[k] = geometry.rotation;
-            opacities[k] = if gaussians.opacities[i] <= 1.0 { sum[0] / splat.opacity } else { 0.0 };
-            features[k * channels..][..channels].copy_from_slice(&sum[SLOT_HEAD..][..channels]);
-            means_px[k] = on_splat.mean.to_array();
-            weights[k] = sum[6];
-            radii[k] = splat.extent()[0].max(splat.extent()[1]);
-        }
-    });
+        },
+    );
     out
 }
 

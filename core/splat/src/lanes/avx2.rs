@@ -92,10 +92,8 @@ unsafe impl Lanes for Avx2 {
     unsafe fn split_exponent(self) -> (Self, Self) {
         unsafe {
             let bits = _mm256_castps_si256(self.0);
-            let mantissa = _mm256_or_si256(
-                _mm256_and_si256(bits, _mm256_set1_epi32(0x007F_FFFF)),
-                _mm256_set1_epi32(0x3F80_0000),
-            );
+            let mantissa =
+                _mm256_or_si256(_mm256_and_si256(bits, _mm256_set1_epi32(0x007F_FFFF)), _mm256_set1_epi32(0x3F80_0000));
             let exponent = _mm256_sub_epi32(_mm256_srli_epi32::<23>(bits), _mm256_set1_epi32(127));
             (Self(_mm256_castsi256_ps(mantissa)), Self(_mm256_cvtepi32_ps(exponent)))
         }

@@ -92,10 +92,8 @@ unsafe impl Lanes for Avx512 {
     unsafe fn split_exponent(self) -> (Self, Self) {
         unsafe {
             let bits = _mm512_castps_si512(self.0);
-            let mantissa = _mm512_or_si512(
-                _mm512_and_si512(bits, _mm512_set1_epi32(0x007F_FFFF)),
-                _mm512_set1_epi32(0x3F80_0000),
-            );
+            let mantissa =
+                _mm512_or_si512(_mm512_and_si512(bits, _mm512_set1_epi32(0x007F_FFFF)), _mm512_set1_epi32(0x3F80_0000));
             let exponent = _mm512_sub_epi32(_mm512_srli_epi32::<23>(bits), _mm512_set1_epi32(127));
             (Self(_mm512_castsi512_ps(mantissa)), Self(_mm512_cvtepi32_ps(exponent)))
         }
