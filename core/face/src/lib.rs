@@ -11,9 +11,11 @@ mod observations;
 mod procedural;
 mod skinning;
 mod track;
+mod tracker;
 
 pub use error::FaceError;
 pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};
 pub use observations::{Landmark, Observations};
 pub use skinning::vertex_normals;
 pub use track::{FramePose, Track};
+pub use tracker::{TrackOptions, track};

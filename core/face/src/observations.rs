@@ -112,7 +112,7 @@ impl Observations {
         }
     }
 
-    fn validate(&self) -> Result<(), FaceError> {
+    pub(crate) fn validate(&self) -> Result<(), FaceError> {
         if self.width == 0 || self.height == 0 {
             return Err(FaceError::ImageSize { width: self.width, height: self.height });
         }

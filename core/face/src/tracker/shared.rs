@@ -1,0 +1,202 @@
+//! Identity, and perhaps the focal length, from key frames jointly: each frame's own unknowns are eliminated by a Schur
+//! complement, so a step costs one small system per frame and one for what they share.
+
+use rayon::prelude::*;
+
+use super::frame::{self, Lens, Seen, Setting, Shared, State};
+use super::linear::{cholesky, damped_solve, dot, forward, solve};
+use super::points::Points;
+
+/// What the key frames share.
+#[derive(Clone, Debug)]
+pub struct Person {
+    /// Identity coefficients.
+    pub identity: Vec<f64>,
+    /// Camera.
+    pub lens: Lens,
+}
+
+/// The problem of the joint fit.
+pub struct Joint<'a> {
+    /// Landmark points.
+    pub points: &'a Points,
+    /// The key frames' landmarks.
+    pub frames: Vec<&'a Seen>,
+    /// Pixels that count as one.
+    pub scale_px: f64,
+    /// Prior of a frame's unknowns.
+    pub frame_prior: &'a [f64],
+    /// Prior of each identity coefficient's square.
+    pub identity_prior: Vec<f64>,
+    /// Prior of the squared change of the focal length's logarithm; `None` holds it.
+    pub focal_prior: Option<f64>,
+    /// The focal length the prior pulls to.
+    pub focal_centre: f64,
+}
+
+/// One frame's part of the reduced system, and what is needed to recover its own step.
+struct Eliminated {
+    factor: Vec<f64>,
+    /// `H_ps` by columns: shared unknown × own unknown.
+    coupling: Vec<f64>,
+    gradient: Vec<f64>,
+    schur: Vec<f64>,
+    reduced_gradient: Vec<f64>,
+}
+
+impl Joint<'_> {
+    fn shared(&self) -> Shared {
+        Shared { identity: self.identity_prior.len(), focal: self.focal_prior.is_some() }
+    }
+
+    fn prior_cost(&self, person: &Person) -> f64 {
+        let identity: f64 = person.identity.iter().zip(&self.identity_prior).map(|(v, w)| w * v * v).sum();
+        let change = (person.lens.focal / self.focal_centre).ln();
+        identity + self.focal_prior.map_or(0.0, |weight| weight * change * change)
+    }
+
+    fn cost(&self, person: &Person, states: &[State]) -> f64 {
+        let shape = self.points.shape(&person.identity);
+        let setting = Setting {
+            points: self.points,
+            shape: &shape,
+            lens: person.lens,
+            scale_px: self.scale_px,
+            prior: self.frame_prior,
+        };
+        let costs: Vec<f64> =
+            self.frames.par_iter().zip(states).map(|(seen, state)| frame::cost(&setting, seen, state)).collect();
+        costs.iter().sum::<f64>() + self.prior_cost(person)
+    }
+
+    /// Runs up to `iterations` damped Gauss–Newton steps on everything at once.
+    pub fn fit(&self, person: &mut Person, states: &mut Vec<State>, iterations: usize) {
+        let mut best = self.cost(person, states);
+        let mut damping = 1e-3;
+        for _ in 0..iterations {
+            let mut gain = 0.0;
+            for _ in 0..5 {
+                let trial = self.step(person, states, damping);
+                let trial_cost = trial.as_ref().map_or(f64::INFINITY, |(p, s)| self.cost(p, s));
+                if let (Some((next_person, next_states)), true) = (trial, trial_cost < best) {
+                    gain = (best - trial_cost) / best.max(1e-12);
+                    (*person, *states, best) = (next_person, next_states, trial_cost);
+                    damping = (damping * 0.2).max(1e-6);
+                    break;
+                }
+                damping *= 8.0;
+            }
+            if gain < 1e-4 {
+                break;
+            }
+        }
+    }
+
+    /// One trial step; `None` when the system cannot be solved.
+    fn step(&self, person: &Person, states: &[State], damping: f64) -> Option<(Person, Vec<State>)> {
+        let shape = self.points.shape(&person.identity);
+        let setting = Setting {
+            points: self.points,
+            shape: &shape,
+            lens: person.lens,
+            scale_px: self.scale_px,
+            prior: self.frame_prior,
+        };
+        let parts: Option<Vec<Eliminated>> = self
+            .frames
+            .par_iter()
+            .zip(states)
+            .map(|(seen, state)| self.eliminated(&setting, seen, state, damping))
+            .collect();
+        let parts = parts?;
+        let n = self.shared().count();
+        let mut matrix = vec![0.0; n * n];
+        let mut gradient = vec![0.0; n];
+        for part in &parts {
+            matrix.iter_mut().zip(&part.schur).for_each(|(sum, value)| *sum += value);
+            gradient.iter_mut().zip(&part.reduced_gradient).for_each(|(sum, value)| *sum += value);
+        }
+        frame::add_prior(&mut matrix, &mut gradient, &self.identity_prior, &person.identity);
+        if let Some(weight) = self.focal_prior {
+            matrix[n * n - 1] += weight;
+            gradient[n - 1] += weight * (person.lens.focal / self.focal_centre).ln();
+        }
+        let shared_step: Vec<f64> = damped_solve(&matrix, &gradient, damping, &[])?.iter().map(|v| -v).collect();
+        let next_states = parts.iter().zip(states).map(|(part, state)| part.recovered(state, &shared_step)).collect();
+        let mut next = person.clone();
+        for (value, change) in next.identity.iter_mut().zip(&shared_step) {
+            *value = (*value + change).clamp(-6.0, 6.0);
+        }
+        if self.focal_prior.is_some() {
+            next.lens.focal *= shared_step[n - 1].clamp(-0.5, 0.5).exp();
+        }
+        Some((next, next_states))
+    }
+
+    fn eliminated(&self, setting: &Setting, seen: &Seen, state: &State, damping: f64) -> Option<Eliminated> {
+        let design = frame::linearised(setting, seen, state, self.shared())?;
+        let (own, shared) = (state.unknowns(), self.shared().count());
+        let mut factor = vec![0.0; own * own];
+        let mut gradient: Vec<f64> = (0..own).map(|k| dot(design.column(k), &design.residual)).collect();
+        for i in 0..own {
+            for j in 0..=i {
+                factor[i * own + j] = dot(design.column(i), design.column(j));
+                factor[j * own + i] = factor[i * own + j];
+            }
+        }
+        frame::add_prior(&mut factor, &mut gradient, self.frame_prior, &state.local());
+        let held = state.held(&gradient);
+        for i in 0..own {
+            factor[i * own + i] = factor[i * own + i] * (1.0 + damping) + 1e-9;
+            if held[i] {
+                (0..own).for_each(|j| (factor[i * own + j], factor[j * own + i]) = (0.0, 0.0));
+                factor[i * own + i] = 1.0;
+                gradient[i] = 0.0;
+            }
+        }
+        if !cholesky(&mut factor, own) {
+            return None;
+        }
+        let mut coupling = vec![0.0; shared * own];
+        for s in 0..shared {
+            for p in (0..own).filter(|p| !held[*p]) {
+                coupling[s * own + p] = dot(design.column(own + s), design.column(p));
+            }
+        }
+        Some(reduced(&design, factor, coupling, gradient))
+    }
+}
+
+/// Eliminates the frame's own unknowns from its normal equations.
+fn reduced(design: &super::linear::Design, factor: Vec<f64>, coupling: Vec<f64>, gradient: Vec<f64>) -> Eliminated {
+    let own = gradient.len();
+    let shared = coupling.len() / own;
+    let mut whitened = coupling.clone();
+    whitened.chunks_mut(own).for_each(|column| forward(&factor, own, column));
+    let mut whitened_gradient = gradient.clone();
+    forward(&factor, own, &mut whitened_gradient);
+    let mut schur = vec![0.0; shared * shared];
+    let mut reduced_gradient = vec![0.0; shared];
+    for i in 0..shared {
+        let (row, column) = (&whitened[i * own..(i + 1) * own], design.column(own + i));
+        for j in 0..=i {
+            let value = dot(column, design.column(own + j)) - dot(row, &whitened[j * own..(j + 1) * own]);
+            schur[i * shared + j] = value;
+            schur[j * shared + i] = value;
+        }
+        reduced_gradient[i] = dot(column, &design.residual) - dot(row, &whitened_gradient);
+    }
+    Eliminated { factor, coupling, gradient, schur, reduced_gradient }
+}
+
+impl Eliminated {
+    fn recovered(&self, state: &State, shared_step: &[f64]) -> State {
+        let own = self.gradient.len();
+        let mut right: Vec<f64> = self.gradient.iter().map(|value| -value).collect();
+        for (column, change) in self.coupling.chunks(own).zip(shared_step) {
+            right.iter_mut().zip(column).for_each(|(value, coupling)| *value -= coupling * change);
+        }
+        solve(&self.factor, own, &mut right);
+        state.stepped(&right)
+    }
+}

@@ -1,0 +1,167 @@
+//! The tracker against motion it was not told: exact Jacobians, accuracy under noise and dropouts, and bad input.
+
+use std::f64::consts::TAU;
+
+use glam::{DQuat, Vec3};
+
+use super::frame::{Shared, linearised};
+use super::*;
+use crate::observations::Landmark;
+
+/// A small seeded generator (SplitMix64).
+struct Random(u64);
+
+impl Random {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (TAU * self.uniform()).cos()
+    }
+}
+
+/// A talking, blinking, nodding head and what a noisy detector sees of it.
+struct Scene {
+    poses: Vec<FramePose>,
+    observations: Observations,
+}
+
+/// 256² pixels, eye corners about 70 pixels apart.
+fn scene(head: &HeadModel, frames: usize, (noise_px, dropout): (f64, f64), seed: u64) -> Result<Scene, FaceError> {
+    let mut random = Random(seed);
+    let identity: Vec<f32> = (0..head.identity.count).map(|_| (0.7 * random.normal()) as f32).collect();
+    let person = head.with_identity(&identity);
+    let camera = Camera::at_origin(256, 256, 307.2);
+    let phases: Vec<f64> = (0..head.expression.count + 4).map(|_| TAU * random.uniform()).collect();
+    let times: Vec<f64> = (0..frames).map(|t| t as f64 / 30.0).collect();
+    let (mut poses, mut seen) = (Vec::new(), Vec::new());
+    for &time in &times {
+        let wave = |hertz: f64, phase: f64| (TAU * hertz * time + phase).sin();
+        let mut pose = FramePose::rest(head.expression.count);
+        pose.rotation = [0.12 * wave(0.35, phases[0]), 0.25 * wave(0.22, phases[1]), 0.06 * wave(0.3, phases[2])]
+            .map(|angle| angle as f32);
+        pose.translation = [0.01 * wave(0.3, 1.0) as f32, 0.0, -0.40 + 0.01 * wave(0.1, 0.0) as f32];
+        pose.jaw[0] = (0.10 * (1.0 + wave(1.7, phases[3])) * (0.5 + 0.5 * wave(0.4, 0.0))) as f32;
+        for (value, phase) in pose.expression.iter_mut().zip(&phases[4..]) {
+            *value = (0.35 * wave(0.5, *phase)) as f32;
+        }
+        let blink = (-((time % 1.7 - 0.8) / 0.07).powi(2)).exp() as f32;
+        pose.eyelids = [blink; 2];
+        let vertices = person.pose(&pose);
+        let landmarks = head.landmarks.iter().filter_map(|anchor| {
+            let pixel = camera.project(Vec3::from_array(person.landmark_position(anchor, &vertices)))?;
+            let noisy = [pixel.x, pixel.y].map(|value| value + (noise_px * random.normal()) as f32);
+            (random.uniform() >= dropout).then_some(Landmark { index: anchor.index, position_px: noisy, weight: 1.0 })
+        });
+        seen.push(Some(landmarks.collect()));
+        poses.push(pose);
+    }
+    for frame in seen.iter_mut().skip(frames / 2).take(frames / 20) {
+        *frame = None;
+    }
+    Ok(Scene { poses, observations: Observations::new(256, 256, times, seen)? })
+}
+
+fn silent(_: Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(x, y)| f(x - ma, y - mb)).sum::<f64>();
+    sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
+}
+
+#[test]
+fn the_jacobian_is_the_derivative() -> Result<(), FaceError> {
+    let head = HeadModel::procedural();
+    let scene = scene(&head, 1, (3.0, 0.0), 3)?;
+    let points = Points::new(&head);
+    let seen = seen(&points, &scene.observations, 0);
+    let mut random = Random(11);
+    let identity: Vec<f64> = (0..points.identity_count()).map(|_| random.normal()).collect();
+    let mut state = State::rest(points.expression_count());
+    state.rotation = rotation(DVec3::new(0.2, -0.3, 0.1));
+    state.translation = DVec3::new(0.02, 0.01, -0.5);
+    state.jaw = DVec3::new(0.2, 0.03, -0.02);
+    state.expression.iter_mut().for_each(|value| *value = 0.4 * random.normal());
+    state.eyelids = [0.4, 0.6];
+    let lens = Lens { focal: 300.0, centre: DVec2::splat(128.0) };
+    // A wide scale keeps the robust weights at 1, so that rows are plain residuals.
+    let shared = Shared { identity: points.identity_count(), focal: true };
+    let residuals = |state: &State, identity: &[f64], lens: Lens| -> Option<super::linear::Design> {
+        let shape = points.shape(identity);
+        linearised(&Setting { points: &points, shape: &shape, lens, scale_px: 1e5, prior: &[] }, &seen, state, shared)
+    };
+    let Some(design) = residuals(&state, &identity, lens) else { return Err(FaceError::Cancelled) };
+    let own = state.unknowns();
+    let h = 1e-5;
+    for k in 0..own + shared.count() {
+        let moved = |sign: f64| {
+            let (mut state, mut identity, mut lens) = (state.clone(), identity.clone(), lens);
+            if k < own {
+                let mut step = vec![0.0; own];
+                step[k] = sign * h;
+                state = state.stepped(&step);
+            } else if k < own + identity.len() {
+                identity[k - own] += sign * h;
+            } else {
+                lens.focal *= (sign * h).exp();
+            }
+            residuals(&state, &identity, lens)
+        };
+        let (Some(after), Some(before)) = (moved(1.0), moved(-1.0)) else { return Err(FaceError::Cancelled) };
+        let largest = design.column(k).iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+        for (row, exact) in design.column(k).iter().enumerate() {
+            let slope = (after.residual[row] - before.residual[row]) / (2.0 * h);
+            assert!((slope - exact).abs() <= 2e-4 * largest + 1e-12, "unknown {k}, row {row}: {slope} {exact}");
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn it_follows_a_talking_head_through_noise_and_dropouts() -> Result<(), FaceError> {
+    let head = HeadModel::procedural();
+    let scene = scene(&head, 180, (0.7, 0.05), 42)?;
+    let track = track(&head, &scene.observations, &TrackOptions::default(), &mut silent)?;
+    let turn = |v: [f32; 3]| DQuat::from_scaled_axis(DVec3::from_array(v.map(f64::from)));
+    // Where the head's own frame sits is a matter of its identity: compare turns from the first frame.
+    let relative = |poses: &[FramePose], t: usize| turn(poses[t].rotation) * turn(poses[0].rotation).inverse();
+    let frames = scene.poses.len();
+    let (mut turned, mut straight) = (0.0, 0.0);
+    for t in 0..frames {
+        turned += relative(&scene.poses, t).angle_between(relative(&track.frames, t)).to_degrees() / frames as f64;
+        straight +=
+            turn(scene.poses[t].rotation).angle_between(turn(track.frames[t].rotation)).to_degrees() / frames as f64;
+    }
+    let jaw = |poses: &[FramePose]| poses.iter().map(|pose| f64::from(pose.jaw[0])).collect::<Vec<f64>>();
+    let jaw = correlation(&jaw(&scene.poses), &jaw(&track.frames));
+    let blinks = |pose: &FramePose| pose.eyelids[0] + pose.eyelids[1] > 1.0;
+    let (mut hit, mut wrong) = (0.0, 0.0);
+    for (truth, found) in scene.poses.iter().zip(&track.frames).filter(|(_, found)| found.fitted) {
+        match (blinks(truth), blinks(found)) {
+            (true, true) => hit += 1.0,
+            (false, false) => {}
+            _ => wrong += 1.0,
+        }
+    }
+    let f1 = 2.0 * hit / (2.0 * hit + wrong);
+    println!(
+        "rotation {turned:.2}° from the first frame, {straight:.2}° absolute; jaw r {jaw:.3}; blink F1 {f1:.3}; \
+         landmark rms {:.2} px of {:.1}",
+        track.landmark_rms_px, track.interocular_px
+    );
+    assert!(straight <= 1.5 && turned <= 1.5);
+    assert!(jaw >= 0.95);
+    assert!(f1 >= 0.95);
+    assert!(track.landmark_rms_px <= 0.03 * track.interocular_px);
+    assert!(track.frames[91].is_finite() && !track.frames[91].fitted && track.frames[0].fitted);
+    Ok(())
+}
