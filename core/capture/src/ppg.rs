@@ -50,25 +50,23 @@ pub enum PpgError {
 
 /// A PPG trace as recorded, and on the clip's frame times.
 pub struct ClipPpg {
-    /// At its own rate, from one second before to one second after the clip as far as it goes; the clip starts at 0 s.
+    /// At its own rate, from one second before to one second after the clip as far as it goes.
     pub contact: Series,
     /// At the clip's frame times, by linear interpolation.
     pub at_frames: Series,
 }
 
-/// Reads the trace of a recording whose clip starts at `start_seconds` of it.
+/// Reads the trace of a recording; its times are on the clip's clock.
 ///
 /// # Errors
 /// When the file cannot be read, a line is malformed, or the trace is shorter than the clip.
-pub fn read_clip_ppg(path: &Path, clip: &Clip, start_seconds: f64) -> Result<ClipPpg, PpgError> {
+pub fn read_clip_ppg(path: &Path, clip: &Clip) -> Result<ClipPpg, PpgError> {
     let whole = read_ppg(path)?;
     let series = |source| PpgError::Series {
         path: path.to_owned(),
         source,
         remedy: "give a PPG that covers the clip, or read a shorter part of it with `seconds`",
     };
-    let shifted: Vec<f64> = whole.times_seconds.iter().map(|time| time - start_seconds).collect();
-    let whole = Series::new(shifted, whole.values).map_err(series)?;
     let slack_seconds = SLACK_FRAMES / clip.frame_rate_hertz().max(1.0);
     let at_frames = whole.resampled(&clip.times_seconds, slack_seconds).map_err(series)?;
     let (first, last) = (clip.times_seconds[0] - 1.0, clip.times_seconds[clip.len() - 1] + 1.0);
@@ -178,10 +176,10 @@ mod tests {
             (0..=(seconds * 10.0) as u32).map(|k| format!("{},{k}\n", f64::from(k) / 10.0)).collect::<String>()
         };
         std::fs::write(&path, format!("time_s,ppg\n{}", lines(4.0)))?;
-        let ppg = read_clip_ppg(&path, &clip, 0.5)?;
-        assert!((ppg.at_frames.values[0] - 5.0).abs() < 1e-9, "the clip starts half a second in");
+        let ppg = read_clip_ppg(&path, &clip)?;
+        assert!((ppg.at_frames.values[15] - 5.0).abs() < 1e-9 && ppg.contact.len() == 40);
         std::fs::write(&path, format!("time_s,ppg\n{}", lines(2.0)))?;
-        let message = read_clip_ppg(&path, &clip, 0.0).err().map(|error| error.to_string()).unwrap_or_default();
+        let message = read_clip_ppg(&path, &clip).err().map(|error| error.to_string()).unwrap_or_default();
         std::fs::remove_file(&path)?;
         assert!(message.contains("0.000–2.000 s but 0.000–2.967 s is needed"), "{message}");
         Ok(())

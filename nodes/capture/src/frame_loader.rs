@@ -1,0 +1,159 @@
+//! FrameLoader: the one door through which recordings enter a graph.
+
+use std::path::Path;
+
+use heartian_capture::CaptureError;
+use heartian_capture::ppg::{ClipPpg, read_clip_ppg};
+use heartian_capture::real::{RealOptions, load_real};
+use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate};
+use heartian_face::Observations;
+use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
+use heartian_space::{Clip, Progress, Series};
+
+/// The source that needs no file.
+const SYNTHETIC: &str = "synthetic";
+
+params! {
+    /// Reads a recording: a video, a folder of PNG frames, or the built-in synthetic one. Crops a square around the face,
+    /// mattes head and neck, finds the landmarks, and puts the contact PPG on the clip's clock.
+    pub struct FrameLoader {
+        /// `synthetic`, a video file (.mp4, .avi; others through the ffmpeg program), or a folder of PNG frames.
+        source: String = SYNTHETIC.to_owned();
+        /// Contact PPG as CSV with the header `time_s,ppg`, on the video's clock, at any sampling rate. The synthetic
+        /// recording brings its own.
+        ppg: Option<String> = None;
+        /// How much of the recording is read.
+        seconds: f64 = 20.0, unit("s"), range(0.5, 3600.0);
+        /// Where in a file reading starts.
+        start_seconds: f64 = 0.0, unit("s"), range(0.0, 86400.0);
+        /// Side of the square clip.
+        size: usize = 256, unit("px"), range(32.0, 2048.0);
+        /// Cut out head and neck; without, the whole crop counts.
+        matte: bool = true;
+        /// Frame rate of the synthetic recording, and of a folder of PNGs without times.
+        frames_per_second: f64 = 30.0, unit("Hz"), range(1.0, 240.0);
+        /// Synthetic: which person, motion, heart and noise.
+        seed: u64 = 1;
+        /// Synthetic: mean heart rate.
+        heart_rate_bpm: f64 = 72.0, unit("bpm"), range(30.0, 220.0);
+        /// Synthetic: standard deviation of the beat intervals.
+        hrv_ms: f64 = 35.0, unit("ms"), range(0.0, 150.0);
+        /// Synthetic: relative change of green skin albedo from trough to peak of a beat.
+        pulse_strength: f64 = 0.012, range(0.0, 0.2);
+        /// Synthetic: how much the head moves and talks.
+        motion: f64 = 1.0, range(0.0, 2.0);
+        /// Synthetic: the light.
+        light: Light = Light::Studio, choices(&["Studio", "Window", "Warm", "Cool", "Overcast"]);
+        /// Synthetic: the skin tone.
+        skin_tone: SkinTone = SkinTone::Light, choices(&["Light", "Medium", "Tan", "Brown", "Dark"]);
+    }
+}
+register!(FrameLoader);
+
+impl Node for FrameLoader {
+    const KIND: &'static str = "FrameLoader";
+    const REVISION: u32 = 1;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),
+        Port::one::<Observations>("landmarks", "Face landmarks seen in each frame."),
+        Port::one::<Series>("ppg", "Contact PPG on the clip's clock, at its own rate.").optional(),
+        Port::one::<Series>("ppg_at_frames", "The same at the clip's frame times.").optional(),
+        Port::one::<GroundTruth>(
+            "truth",
+            "What a synthetic recording knows of itself; for judging, never for fitting.",
+        )
+        .optional(),
+    ];
+
+    fn sources(&self) -> Vec<SourceFile> {
+        let remedy = "give a video file, a folder of PNG frames, or \"synthetic\"";
+        let video = (self.source != SYNTHETIC).then(|| SourceFile::new("source", &self.source).remedy(remedy));
+        let remedy = "give a CSV file with the header `time_s,ppg`";
+        let ppg = self.ppg.as_ref().map(|path| SourceFile::new("ppg", path).remedy(remedy));
+        video.into_iter().chain(ppg).collect()
+    }
+
+    fn validate(&self) -> Vec<ParamError> {
+        let empty = self.source.is_empty();
+        let message = "is empty; give a video file, a folder of PNG frames, or \"synthetic\"";
+        empty.then(|| ParamError::new("source", message)).into_iter().collect()
+    }
+
+    fn run(&self, _: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
+        if self.source == SYNTHETIC { self.synthesise(context) } else { self.read(context) }
+    }
+}
+
+impl FrameLoader {
+    fn synthesise(&self, context: &Context) -> Result<Outputs, NodeError> {
+        let options = SyntheticOptions {
+            seconds: self.seconds,
+            size: self.size,
+            frames_per_second: self.frames_per_second,
+            seed: self.seed,
+            heart_rate_bpm: self.heart_rate_bpm,
+            hrv_ms: self.hrv_ms,
+            light: self.light,
+            skin_tone: self.skin_tone,
+            pulse_strength: self.pulse_strength,
+            motion: self.motion,
+            ..SyntheticOptions::default()
+        };
+        let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
+        let recording = generate(&options, watch).map_err(named)?;
+        let ppg = self.contact(&recording.clip)?;
+        let ppg = match ppg {
+            Some(ppg) => ppg,
+            None => {
+                let at_frames = recording.ppg.resampled(&recording.clip.times_seconds, 1.0)?;
+                ClipPpg { contact: recording.ppg, at_frames }
+            }
+        };
+        Ok(Outputs::new()
+            .put("clip", recording.clip)
+            .put("landmarks", recording.observations)
+            .put("ppg", ppg.contact)
+            .put("ppg_at_frames", ppg.at_frames)
+            .put("truth", recording.truth))
+    }
+
+    fn read(&self, context: &Context) -> Result<Outputs, NodeError> {
+        let options = RealOptions {
+            start_seconds: self.start_seconds,
+            seconds: self.seconds,
+            size: self.size,
+            matte: self.matte,
+            folder_hertz: self.frames_per_second,
+        };
+        let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
+        let recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
+        let ppg = self.contact(&recording.clip)?;
+        let (contact, at_frames) = ppg.map(|ppg| (ppg.contact, ppg.at_frames)).unzip();
+        Ok(Outputs::new()
+            .put("clip", recording.clip)
+            .put("landmarks", recording.observations)
+            .put_some("ppg", contact)
+            .put_some("ppg_at_frames", at_frames))
+    }
+
+    fn contact(&self, clip: &Clip) -> Result<Option<ClipPpg>, NodeError> {
+        let read = |path: &String| read_clip_ppg(Path::new(path), clip);
+        self.ppg.as_ref().map(read).transpose().map_err(|error| NodeError::from(error).parameter("ppg"))
+    }
+}
+
+/// The error with the parameter it is about.
+fn named(error: CaptureError) -> NodeError {
+    let parameter = match &error {
+        CaptureError::Option { name, .. } => Some(*name),
+        CaptureError::Video(_) | CaptureError::NoFace { .. } => Some("source"),
+        CaptureError::TooLarge { .. } => Some("seconds"),
+        _ => None,
+    };
+    let node_error = NodeError::from(error);
+    match parameter {
+        Some(parameter) => node_error.parameter(parameter),
+        None => node_error,
+    }
+}
