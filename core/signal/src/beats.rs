@@ -51,7 +51,7 @@ impl Default for BeatOptions {
 pub struct Beat {
     /// Time of the systolic peak, seconds from the first sample, between samples by a parabola.
     pub seconds: f64,
-    /// False for a beat that was filled in where the signal shows none.
+    /// False where the signal does not plainly show it: filled into a gap, or in a stretch without a clear rhythm.
     pub observed: bool,
 }
 
@@ -103,7 +103,7 @@ pub fn detect_beats(signal: &[f64], rate_hertz: f64, options: &BeatOptions) -> R
     if inverted {
         pulse.values.iter_mut().for_each(|value| *value = -*value);
     }
-    let periods = rate_track::track(&pulse, range)?;
+    let periods = rate_track::track(&pulse, range);
     let candidates = candidates::find(&pulse, &periods);
     let chosen = sequence::choose(&candidates, &periods);
     let beats = sequence::fill(&chosen, &periods);

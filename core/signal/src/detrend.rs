@@ -10,6 +10,26 @@ use crate::error::{Result, SignalError, check_finite};
 /// Largest λ accepted: beyond it rounding (`λ·1e-16` of the signal's size) would reach a millionth of the signal.
 pub const MAX_LAMBDA: f64 = 1e9;
 
+/// How λ is given. λ counts samples: at 30 Hz, λ = 100 halves the amplitude at 0.48 Hz, but at 100 Hz it halves it at
+/// 1.6 Hz and takes a resting pulse away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Smoothness {
+    /// This λ at any sampling rate (the toolbox).
+    Fixed(f64),
+    /// The λ that acts at any sampling rate as this one acts at 30 Hz.
+    AsAt30Hertz(f64),
+}
+
+impl Smoothness {
+    /// The λ to use at a sampling rate; the cut-off goes with `rate/√λ`.
+    pub fn lambda(self, rate_hertz: f64) -> f64 {
+        match self {
+            Self::Fixed(lambda) => lambda,
+            Self::AsAt30Hertz(lambda) => lambda * (rate_hertz / 30.0).powi(2),
+        }
+    }
+}
+
 /// The detrending operator for one length and one λ, factored.
 #[derive(Clone, Debug)]
 pub struct Detrender {

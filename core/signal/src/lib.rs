@@ -17,7 +17,7 @@ mod spectrum;
 pub mod stats;
 pub mod trace;
 
-pub use detrend::{Detrender, MAX_LAMBDA, detrend};
+pub use detrend::{Detrender, MAX_LAMBDA, Smoothness, detrend};
 pub use error::SignalError;
 pub use filter::{Band, Butterworth, bandpass};
 pub use methods::Method;

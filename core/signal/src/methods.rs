@@ -13,7 +13,11 @@ pub use ica::ica;
 pub use linear::{lgi, omit, pbv};
 pub use windowed::{PosWindow, chrom, pos, pos_filtered, pos_trace, pseudo_label};
 
+use crate::detrend::Smoothness;
 use crate::error::{Result, SignalError, check_finite, check_rate};
+
+/// Smoothness of the detrending inside the toolbox's POS and ICA.
+const TOOLBOX_SMOOTHNESS: Smoothness = Smoothness::Fixed(100.0);
 
 /// One colour a frame.
 pub type Rgb = [f64; 3];
@@ -59,16 +63,25 @@ impl Method {
         Self::ALL.into_iter().find(|method| method.name().eq_ignore_ascii_case(name))
     }
 
-    /// The method's trace. As many samples as frames, except CHROM, whose half-window hop drops a remainder.
+    /// The method's trace exactly as the toolbox computes it. As many samples as frames, except CHROM, whose half-window
+    /// hop drops a remainder.
     ///
     /// # Errors
     /// When a colour is not finite, the rate not positive, there are too few frames, a channel is black, or colours do
     /// not vary where the method must divide by their variation.
     pub fn trace(self, rgb: &[Rgb], rate_hertz: f64) -> Result<Vec<f64>> {
+        self.trace_smoothed(rgb, rate_hertz, TOOLBOX_SMOOTHNESS)
+    }
+
+    /// The method's trace with another smoothness of the detrending inside POS and ICA; the others have none.
+    ///
+    /// # Errors
+    /// As [`trace`](Self::trace).
+    pub fn trace_smoothed(self, rgb: &[Rgb], rate_hertz: f64, smoothness: Smoothness) -> Result<Vec<f64>> {
         match self {
-            Self::Pos => pos(rgb, rate_hertz),
+            Self::Pos => windowed::pos_smoothed(rgb, rate_hertz, smoothness),
             Self::Chrom => chrom(rgb, rate_hertz),
-            Self::Ica => ica(rgb, rate_hertz),
+            Self::Ica => ica::ica_smoothed(rgb, rate_hertz, smoothness),
             Self::Green => green(rgb),
             Self::Lgi => lgi(rgb),
             Self::Pbv => pbv(rgb),

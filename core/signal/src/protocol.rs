@@ -1,9 +1,9 @@
 //! From a raw trace to a heart rate: the paper's protocol and the toolbox's, and an even grid for unevenly timed frames.
 //!
-//! Both detrend (smoothness prior, λ = 100), band-pass (Butterworth order 1, forward and backward) and take the strongest
+//! Both detrend (smoothness prior, λ = 100 at 30 Hz), band-pass (Butterworth order 1, forward and backward) and take the strongest
 //! bin of the band. The paper's uses 0.75–3.0 Hz and bins of at most 0.1 bpm; the toolbox's 0.6–3.3 Hz and a power of two.
 
-use crate::detrend::detrend;
+use crate::detrend::{Smoothness, detrend};
 use crate::error::{Result, SignalError, check_finite, check_length, check_times};
 use crate::filter::{Band, Butterworth};
 use crate::spectrum::{Resolution, Spectrum, peak_heart_rate_bpm};
@@ -36,8 +36,8 @@ impl Preset {
 /// How a heart rate is read from a trace.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Protocol {
-    /// Smoothness λ of the detrending, samples.
-    pub detrend_lambda: f64,
+    /// Smoothness of the detrending.
+    pub detrend: Smoothness,
     /// Pass band, also searched for the rate, hertz.
     pub band: Band,
     /// Butterworth order, 1 to 3.
@@ -48,10 +48,11 @@ pub struct Protocol {
 
 impl Protocol {
     /// λ = 100, order 1, 0.75–3.0 Hz, bins ≤ 0.1 bpm.
-    pub const PAPER: Self = Self { detrend_lambda: 100.0, band: Band::PAPER, order: 1, resolution: Resolution::FINE };
-    /// λ = 100, order 1, 0.6–3.3 Hz, next power of two.
+    pub const PAPER: Self =
+        Self { detrend: Smoothness::Fixed(100.0), band: Band::PAPER, order: 1, resolution: Resolution::FINE };
+    /// λ = 100 whatever the rate, order 1, 0.6–3.3 Hz, next power of two.
     pub const TOOLBOX: Self =
-        Self { detrend_lambda: 100.0, band: Band::TOOLBOX, order: 1, resolution: Resolution::Toolbox };
+        Self { detrend: Smoothness::Fixed(100.0), band: Band::TOOLBOX, order: 1, resolution: Resolution::Toolbox };
 
     /// Detrended and band-passed, same length and unit.
     ///
@@ -63,7 +64,7 @@ impl Protocol {
         let filter = Butterworth::bandpass(self.order, self.band, rate_hertz)?;
         check_length("a heart rate", filter.padding() + 1, signal.len())?;
         let size = signal.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-        let filtered = filter.filtfilt(&detrend(signal, self.detrend_lambda)?)?;
+        let filtered = filter.filtfilt(&detrend(signal, self.detrend.lambda(rate_hertz))?)?;
         let varies = filtered.iter().any(|value| value.abs() > FLAT_SHARE * size);
         if varies { Ok(filtered) } else { Err(SignalError::Flat("the trace")) }
     }

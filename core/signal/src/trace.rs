@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::error::{Result, SignalError, check_length};
 use crate::methods::{Method, Rgb};
-use crate::protocol::{HeartRate, Preset, estimate, resampled_evenly};
+use crate::protocol::{HeartRate, Preset, resampled_evenly};
 
 /// Which pixels count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,14 +42,16 @@ pub fn mean_rgb(clip: &Clip, weighting: Weighting) -> Result<Vec<Rgb>> {
     (0..clip.len()).into_par_iter().map(mean).collect()
 }
 
-/// The heart rate a classical method reads from a clip: mean RGB, evened out in time, the method, the protocol.
+/// The heart rate a classical method reads from a clip: mean RGB, evened out in time, the method, the protocol
+/// (whose smoothness the method's own detrending shares).
 ///
 /// # Errors
-/// As [`mean_rgb`], [`Method::trace`] and [`estimate`]; a clip of one frame has no rate.
+/// As [`mean_rgb`], [`Method::trace`] and [`estimate`](crate::estimate); a clip of one frame has no rate.
 pub fn clip_heart_rate(clip: &Clip, weighting: Weighting, method: Method, preset: Preset) -> Result<HeartRate> {
     check_length("a heart rate", 2, clip.len())?;
     let (rgb, rate_hertz) = even_rgb(&clip.times_seconds, &mean_rgb(clip, weighting)?)?;
-    estimate(&method.trace(&rgb, rate_hertz)?, rate_hertz, preset)
+    let protocol = preset.protocol();
+    protocol.estimate(&method.trace_smoothed(&rgb, rate_hertz, protocol.detrend)?, rate_hertz)
 }
 
 /// Colours on the even grid of their mean rate, and that rate in hertz.

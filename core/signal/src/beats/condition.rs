@@ -2,7 +2,7 @@
 
 use crate::error::{Result, SignalError};
 use crate::filter::{Band, Butterworth};
-use crate::stats::standard_deviation;
+use crate::stats::{mean, median, standard_deviation};
 
 /// Lowest rate at which peaks are searched, hertz; slower signals are interpolated up to it.
 const SEARCH_HERTZ: f64 = 50.0;
@@ -13,6 +13,8 @@ const SINC_REACH: isize = 12;
 /// Windows of the local statistics, seconds.
 const LIMIT_SECONDS: f64 = 6.0;
 const GAIN_SECONDS: f64 = 3.0;
+/// Skewness that counts as a lean.
+const CLEAR_LEAN: f64 = 0.15;
 
 /// A conditioned pulse: zero-mean, local deviation about 1.
 pub(super) struct Pulse {
@@ -110,10 +112,23 @@ fn even_gain(signal: &[f64], rate_hertz: f64) -> Vec<f64> {
     signal.iter().enumerate().map(|(index, value)| (value * gain(index)).clamp(-4.0, 4.0)).collect()
 }
 
-/// Whether falls are steeper than rises: the skewness of the slope, clear of the near-zero of symmetric waves.
+/// Whether systolic peaks point down. Peaks are narrower than troughs, so values lean upwards; where they hardly lean,
+/// the systolic rise is steeper than the fall. Medians over windows, so that artefacts have no vote.
 pub(super) fn is_inverted(pulse: &Pulse) -> bool {
+    let window = ((LIMIT_SECONDS * pulse.rate_hertz) as usize).clamp(8, pulse.values.len().max(8));
+    let lean_of = |signal: &[f64]| {
+        let leans: Vec<f64> =
+            signal.chunks(window).filter(|part| 2 * part.len() > window).filter_map(skewness).collect();
+        median(&leans)
+    };
     let slopes: Vec<f64> = pulse.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let deviation = standard_deviation(&slopes);
-    let cubes = slopes.iter().map(|slope| (slope / deviation).clamp(-4.0, 4.0).powi(3)).sum::<f64>();
-    cubes / (slopes.len() as f64) < -0.1
+    let (of_values, of_slopes) = (lean_of(&pulse.values), lean_of(&slopes));
+    of_values < -CLEAR_LEAN || (of_values < CLEAR_LEAN && of_slopes < -CLEAR_LEAN)
+}
+
+/// Third standardised moment; `None` of a constant.
+fn skewness(values: &[f64]) -> Option<f64> {
+    let (centre, deviation) = (mean(values), standard_deviation(values));
+    let cubes = values.iter().map(|value| ((value - centre) / deviation).powi(3)).sum::<f64>();
+    (deviation > 0.0).then(|| cubes / values.len() as f64)
 }

@@ -5,7 +5,7 @@ use super::candidates::Candidate;
 use super::rate_track::Periods;
 
 /// Score that a candidate must exceed to be worth a beat.
-const THRESHOLD: f64 = 0.25;
+const THRESHOLD: f64 = 0.4;
 /// Cost of a squared logarithmic deviation of an interval from the tracked period: a dicrotic wave (0.35 + 0.65 of a
 /// period) costs 2.6, an ectopic beat (0.6 + 1.4) 0.75.
 const INTERVAL_COST: f64 = 2.0;
@@ -15,6 +15,9 @@ const MISSING_COST: f64 = 0.5;
 const LOST_PERIODS: f64 = 4.5;
 /// Gap in periods from which beats are filled in: a compensatory pause after an ectopic beat (≤ 1.5) is left alone.
 const FILL_PERIODS: f64 = 1.65;
+
+/// Likeness of consecutive beats below which a stretch has no clear rhythm.
+const CLEAR: f64 = 0.3;
 
 /// Cost of an interval, ≥ 0.
 fn interval_cost(interval: f64, period: f64) -> f64 {
@@ -78,7 +81,7 @@ pub(super) fn fill(peaks: &[f64], periods: &Periods) -> Vec<Beat> {
                 beats.push(Beat { seconds: before + gap * k as f64 / count as f64, observed: false });
             }
         }
-        beats.push(Beat { seconds, observed: true });
+        beats.push(Beat { seconds, observed: periods.clarity_at(seconds) >= CLEAR });
     }
     beats
 }

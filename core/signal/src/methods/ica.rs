@@ -6,13 +6,13 @@
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 
-use crate::detrend::Detrender;
+use crate::detrend::{Detrender, Smoothness};
 use crate::error::{Result, SignalError, check_length};
 use crate::filter::{Band, Butterworth};
 use crate::stats::{mean, standard_deviation};
 
 use super::eigen::symmetric;
-use super::{Rgb, check_colors_at};
+use super::{Rgb, TOOLBOX_SMOOTHNESS, check_colors_at};
 
 type Matrix = [[f64; 3]; 3];
 
@@ -25,10 +25,15 @@ const MAX_SWEEPS: usize = 200;
 /// When colours or rate are unusable, a channel does not vary, channels are copies of each other, or the recording is
 /// not longer than the filter's padding (21 frames).
 pub fn ica(rgb: &[Rgb], rate_hertz: f64) -> Result<Vec<f64>> {
+    ica_smoothed(rgb, rate_hertz, TOOLBOX_SMOOTHNESS)
+}
+
+/// [`ica`] with another smoothness of its detrending.
+pub(super) fn ica_smoothed(rgb: &[Rgb], rate_hertz: f64, smoothness: Smoothness) -> Result<Vec<f64>> {
     check_colors_at(rgb, rate_hertz)?;
     let filter = Butterworth::bandpass(3, Band { low_hertz: 0.7, high_hertz: 2.5 }, rate_hertz)?;
     check_length("ICA", filter.padding() + 1, rgb.len())?;
-    let detrender = Detrender::new(rgb.len(), 100.0)?;
+    let detrender = Detrender::new(rgb.len(), smoothness.lambda(rate_hertz))?;
     let mut channels = Vec::with_capacity(3);
     for channel in 0..3 {
         let mut trace: Vec<f64> = rgb.iter().map(|color| color[channel]).collect();

@@ -1,17 +1,15 @@
 //! POS and CHROM: chrominance projections of short, mean-normalised windows.
 
-use crate::detrend::detrend;
+use crate::detrend::{Smoothness, detrend};
 use crate::error::{Result, SignalError, check_length};
 use crate::filter::{Band, Butterworth, bandpass};
 use crate::hilbert::envelope;
 use crate::stats::{mean, standard_deviation};
 
-use super::{Rgb, check_colors, check_colors_at, window_mean};
+use super::{Rgb, TOOLBOX_SMOOTHNESS, check_colors, check_colors_at, window_mean};
 
 /// Window of POS and CHROM in the papers and the toolbox, seconds: just over one beat at 37.5 bpm.
 const WINDOW_SECONDS: f64 = 1.6;
-/// λ with which POS's output is detrended.
-const DETREND_LAMBDA: f64 = 100.0;
 
 /// How POS normalises colours in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +55,12 @@ pub fn pos_trace(rgb: &[Rgb], rate_hertz: f64, window: PosWindow) -> Result<Vec<
 /// # Errors
 /// As [`pos_trace`], and when the band does not fit the rate.
 pub fn pos(rgb: &[Rgb], rate_hertz: f64) -> Result<Vec<f64>> {
-    filtered_pos(rgb, rate_hertz, Band::PAPER, 1)
+    pos_smoothed(rgb, rate_hertz, TOOLBOX_SMOOTHNESS)
+}
+
+/// [`pos`] with another smoothness of its detrending.
+pub(super) fn pos_smoothed(rgb: &[Rgb], rate_hertz: f64, smoothness: Smoothness) -> Result<Vec<f64>> {
+    filtered_pos(rgb, rate_hertz, Butterworth::bandpass(1, Band::PAPER, rate_hertz)?, smoothness)
 }
 
 /// The toolbox's pseudo label: POS at order 2 over 0.70–3.0 Hz, divided by its own envelope.
@@ -65,19 +68,19 @@ pub fn pos(rgb: &[Rgb], rate_hertz: f64) -> Result<Vec<f64>> {
 /// # Errors
 /// As [`pos`].
 pub fn pseudo_label(rgb: &[Rgb], rate_hertz: f64) -> Result<Vec<f64>> {
-    let trace = filtered_pos(rgb, rate_hertz, Band { low_hertz: 0.7, high_hertz: 3.0 }, 2)?;
+    let filter = Butterworth::bandpass(2, Band { low_hertz: 0.7, high_hertz: 3.0 }, rate_hertz)?;
+    let trace = filtered_pos(rgb, rate_hertz, filter, TOOLBOX_SMOOTHNESS)?;
     let heights = envelope(&trace)?;
     let scaled = trace.iter().zip(&heights).map(|(value, height)| if *height > 0.0 { value / height } else { 0.0 });
     Ok(scaled.collect())
 }
 
-fn filtered_pos(rgb: &[Rgb], rate_hertz: f64, band: Band, order: usize) -> Result<Vec<f64>> {
+fn filtered_pos(rgb: &[Rgb], rate_hertz: f64, filter: Butterworth, smoothness: Smoothness) -> Result<Vec<f64>> {
     check_colors_at(rgb, rate_hertz)?;
-    let filter = Butterworth::bandpass(order, band, rate_hertz)?;
     let length = window_length(WINDOW_SECONDS, rate_hertz)?;
     check_length("POS", (length + 1).max(filter.padding() + 1), rgb.len())?;
     let trace = overlap_add(rgb, length, rgb.len() - length)?;
-    filter.filtfilt(&detrend(&trace, DETREND_LAMBDA)?)
+    filter.filtfilt(&detrend(&trace, smoothness.lambda(rate_hertz))?)
 }
 
 fn window_length(seconds: f64, rate_hertz: f64) -> Result<usize> {
@@ -152,12 +155,12 @@ fn ratio(a: f64, b: f64) -> f64 {
     if b > 0.0 { a / b } else { 0.0 }
 }
 
-/// POS's phase-ready form for the weak phase prior: the trace of the chosen window, detrended (λ = 100) and band-passed
+/// POS's phase-ready form for the weak phase prior: the trace of the chosen window, detrended (as λ = 100 at 30 Hz) and band-passed
 /// over the paper's band without the toolbox's missing last window.
 ///
 /// # Errors
 /// As [`pos_trace`], and when the band does not fit the rate.
 pub fn pos_filtered(rgb: &[Rgb], rate_hertz: f64, window: PosWindow) -> Result<Vec<f64>> {
     let trace = pos_trace(rgb, rate_hertz, window)?;
-    bandpass(&detrend(&trace, DETREND_LAMBDA)?, rate_hertz, Band::PAPER, 1)
+    bandpass(&detrend(&trace, Smoothness::AsAt30Hertz(100.0).lambda(rate_hertz))?, rate_hertz, Band::PAPER, 1)
 }
