@@ -14,6 +14,8 @@ mod physiology;
 mod random;
 mod scene;
 mod sensor;
+#[cfg(test)]
+mod tests;
 mod truth;
 
 use std::ops::ControlFlow;

@@ -168,7 +168,7 @@ impl Materials {
         for brow in &self.anatomy.brows {
             if let Some(place) = brow.locate(rest) {
                 let slant = Vec3::new(rest.x.abs() * 620.0 - rest.y * 480.0, rest.y * 160.0, rest.x.signum() * 9.0);
-                let cover = 0.72 * smoothstep(1.30, 0.35, place.across + 0.22 * self.noise.at(slant));
+                let cover = 0.84 * smoothstep(1.30, 0.35, place.across + 0.22 * self.noise.at(slant));
                 texel.albedo = texel.albedo.lerp(self.brow_albedo, cover);
                 texel.skin *= 1.0 - cover;
             }

@@ -72,7 +72,9 @@ fn next_errors(before: &[Vec2], count: usize, options: &SyntheticOptions, frame:
 /// Mean distance between the outer eye corners, pixels; 0 when the model does not anchor them.
 pub(crate) fn mean_interocular_px(scene: &Scene, frames: &[Frame]) -> f64 {
     let position = |index: u32| scene.head.landmarks.iter().position(|anchor| anchor.index == index);
-    let [Some(right), Some(left)] = EYE_CORNERS.map(position) else { return 0.0 };
+    let [Some(right), Some(left)] = EYE_CORNERS.map(position) else {
+        return 0.0;
+    };
     let sum: f64 = frames.iter().map(|f| f64::from(f.landmarks[right].0.distance(f.landmarks[left].0))).sum();
     sum / frames.len().max(1) as f64
 }
