@@ -70,12 +70,14 @@ impl Beats {
         self.beats.iter().map(|beat| beat.seconds).collect()
     }
 
-    /// Mean beat rate from the first to the last beat, bpm.
+    /// Mean beat rate over the intervals between observed beats, bpm; over all intervals when none is observed.
     pub fn mean_rate_bpm(&self) -> f64 {
-        match (self.beats.first(), self.beats.last()) {
-            (Some(first), Some(last)) => 60.0 * (self.beats.len() - 1) as f64 / (last.seconds - first.seconds),
-            _ => f64::NAN,
-        }
+        let total = |only_observed: bool| {
+            let pairs = self.beats.windows(2).filter(|pair| !only_observed || pair.iter().all(|beat| beat.observed));
+            pairs.fold((0.0, 0.0), |(count, sum), pair| (count + 1.0, sum + pair[1].seconds - pair[0].seconds))
+        };
+        let (count, seconds) = [total(true), total(false)].into_iter().find(|t| t.0 > 0.0).unwrap_or((f64::NAN, 1.0));
+        60.0 * count / seconds
     }
 
     /// Share of beats that the signal shows, in [0, 1].

@@ -47,9 +47,9 @@ pub struct Protocol {
 }
 
 impl Protocol {
-    /// λ = 100, order 1, 0.75–3.0 Hz, bins ≤ 0.1 bpm.
+    /// λ = 100 at 30 Hz and alike at other rates, order 1, 0.75–3.0 Hz, bins ≤ 0.1 bpm.
     pub const PAPER: Self =
-        Self { detrend: Smoothness::Fixed(100.0), band: Band::PAPER, order: 1, resolution: Resolution::FINE };
+        Self { detrend: Smoothness::AsAt30Hertz(100.0), band: Band::PAPER, order: 1, resolution: Resolution::FINE };
     /// λ = 100 whatever the rate, order 1, 0.6–3.3 Hz, next power of two.
     pub const TOOLBOX: Self =
         Self { detrend: Smoothness::Fixed(100.0), band: Band::TOOLBOX, order: 1, resolution: Resolution::Toolbox };
