@@ -1,0 +1,223 @@
+//! A real recording: video in; head crop, matte and landmarks out.
+//!
+//! The video is read twice and never held whole: once to follow the face, once to cut the square that holds it. Landmarks
+//! come in pixels of the crop, raw (the tracker smooths), and `None` where no face is seen. Frame times are those of the
+//! recording, so that a pulse trace on the same clock stays aligned when `start_seconds` is not 0.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use heartian_face::models::FaceNets;
+use heartian_face::nets::{FaceFollower, FaceLandmarks};
+use heartian_face::{Landmark, Observations};
+use heartian_space::{Clip, Progress, Rgb8Image, Sequence};
+use rayon::prelude::*;
+
+use crate::CaptureError;
+use crate::crop::{CropSquare, Cropper};
+use crate::matte::{Evidence, refine};
+use crate::video::{FrameSource, VideoOptions, open};
+
+/// Full frames held at once.
+const BATCH_FRAMES: usize = 16;
+/// The most memory for frames and matte.
+const LARGEST_CLIP_BYTES: usize = 6 << 30;
+
+/// Which part of a recording to take, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RealOptions {
+    /// Where to begin, seconds from the recording's start.
+    pub start_seconds: f64,
+    /// How much to take, seconds; infinite for all.
+    pub seconds: f64,
+    /// Side of the crop, pixels, 32–4096.
+    pub size: usize,
+    /// Whether to cut the head out; without, alpha is 255 wherever the camera saw.
+    pub matte: bool,
+    /// Frame rate of a folder of PNGs that has no file of times.
+    pub folder_hertz: f64,
+}
+
+impl Default for RealOptions {
+    fn default() -> Self {
+        Self { start_seconds: 0.0, seconds: f64::INFINITY, size: 256, matte: true, folder_hertz: 30.0 }
+    }
+}
+
+/// A recording ready for the tracker and the trainer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RealRecording {
+    /// The clip labelled `input`.
+    pub clip: Clip,
+    /// Landmarks of every frame, in pixels of the clip.
+    pub observations: Observations,
+    /// Where the clip lies in the source.
+    pub square: CropSquare,
+}
+
+/// Reads a recording. Progress runs over twice the frames: following, then cutting.
+///
+/// # Errors
+/// Options out of range; everything a video reader can meet; networks not installed; no face in any frame; cancelled.
+pub fn load_real(
+    source: &Path,
+    options: &RealOptions,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<RealRecording, CaptureError> {
+    check(options)?;
+    let nets = FaceNets::load()?;
+    let followed = follow(source, options, &nets, progress)?;
+    let faces = followed.faces.iter().flatten().map(|face| face.points_px.as_slice());
+    let Some(square) = CropSquare::around(faces) else {
+        let frames = followed.faces.len();
+        return Err(CaptureError::NoFace { source_path: source.to_owned(), frames });
+    };
+    let clip = cut(source, options, &nets, &followed, square, progress)?;
+    let frames = followed.faces.iter().map(|face| face.as_ref().map(|face| landmarks(face, square, options.size)));
+    let observations = Observations::new(options.size, options.size, followed.times_seconds.clone(), frames.collect())?;
+    Ok(RealRecording { clip, observations, square })
+}
+
+fn check(options: &RealOptions) -> Result<(), CaptureError> {
+    let size = options.size as f64;
+    for (name, value, range, fine) in [
+        ("seconds", options.seconds, "positive", options.seconds > 0.0),
+        ("start_seconds", options.start_seconds, "0 or more, and finite", (0.0..1e9).contains(&options.start_seconds)),
+        ("size", size, "from 32 to 4096 pixels", (32.0..=4096.0).contains(&size)),
+    ] {
+        if !fine {
+            return Err(CaptureError::Option { name, value, range });
+        }
+    }
+    Ok(())
+}
+
+/// What the first pass learns.
+struct Followed {
+    times_seconds: Vec<f64>,
+    faces: Vec<Option<FaceLandmarks>>,
+    frame_size: (usize, usize),
+}
+
+/// Calls `each` with every frame of the chosen part.
+fn for_each_frame(
+    source: &Path,
+    options: &RealOptions,
+    mut each: impl FnMut(f64, Rgb8Image) -> Result<(), CaptureError>,
+) -> Result<(), CaptureError> {
+    let reading = VideoOptions { start_seconds: options.start_seconds, folder_hertz: options.folder_hertz };
+    let mut video = open(source, &reading)?;
+    let mut first = None;
+    while let Some(frame) = video.next_frame()? {
+        let from = *first.get_or_insert(frame.seconds);
+        if frame.seconds - from >= options.seconds - 1e-6 {
+            break;
+        }
+        each(frame.seconds, frame.image)?;
+    }
+    Ok(())
+}
+
+fn follow(
+    source: &Path,
+    options: &RealOptions,
+    nets: &FaceNets,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<Followed, CaptureError> {
+    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks);
+    let mut followed = Followed { times_seconds: Vec::new(), faces: Vec::new(), frame_size: (0, 0) };
+    let frame_bytes = options.size * options.size * 4;
+    for_each_frame(source, options, |seconds, image| {
+        followed.frame_size = (image.width, image.height);
+        followed.faces.push(follower.next(&image)?);
+        followed.times_seconds.push(seconds);
+        let frames = followed.faces.len();
+        if frames * frame_bytes > LARGEST_CLIP_BYTES {
+            let gibibytes = (frames * frame_bytes) as f64 / f64::from(1 << 30);
+            return Err(CaptureError::TooLarge { frames, size: options.size, gibibytes });
+        }
+        let seen = followed.faces.iter().flatten().count() as f64 / frames as f64;
+        report(progress, Progress { step: frames as u64, total: 0, metric: Some(("faces_seen", seen)) })
+    })?;
+    Ok(followed)
+}
+
+fn report(progress: &mut dyn FnMut(Progress) -> ControlFlow<()>, said: Progress) -> Result<(), CaptureError> {
+    if progress(said).is_break() { Err(CaptureError::Cancelled) } else { Ok(()) }
+}
+
+fn landmarks(face: &FaceLandmarks, square: CropSquare, size: usize) -> Vec<Landmark> {
+    let points = face.points_px.iter().enumerate();
+    let landmark = |(index, [x, y, _]): (usize, &[f32; 3])| Landmark {
+        index: index as u32,
+        position_px: square.crop_from_source([*x, *y], size),
+        weight: face.presence,
+    };
+    points.map(landmark).collect()
+}
+
+/// The second pass: crops and mattes, in batches over all cores; frames keep their order.
+fn cut(
+    source: &Path,
+    options: &RealOptions,
+    nets: &FaceNets,
+    followed: &Followed,
+    square: CropSquare,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<Clip, CaptureError> {
+    let size = options.size;
+    let cropper = Cropper::new(square, followed.frame_size, size);
+    let coverage = cropper.coverage();
+    let nearest = nearest_faces(&followed.faces, square, size);
+    let total = followed.times_seconds.len();
+    let mut frames = Vec::with_capacity(total * size * size * 3);
+    let mut alpha = Vec::with_capacity(total * size * size);
+    let mut batch: Vec<Rgb8Image> = Vec::with_capacity(BATCH_FRAMES);
+    let mut flush = |batch: &mut Vec<Rgb8Image>| -> Result<(), CaptureError> {
+        let first = alpha.len() / (size * size);
+        let cut_one = |(i, image): (usize, &Rgb8Image)| -> Result<(Rgb8Image, Vec<u8>), CaptureError> {
+            let mut crop = cropper.crop(image);
+            if !options.matte {
+                return Ok((crop, coverage.iter().map(|part| (part * 255.0 + 0.5) as u8).collect()));
+            }
+            let probability = nets.person.probability(&crop)?;
+            let face = nearest.get(first + i).map_or(&[][..], Vec::as_slice);
+            let evidence = Evidence { probability: &probability, coverage: &coverage, face };
+            let matte = refine(&mut crop, &evidence);
+            Ok((crop, matte))
+        };
+        for done in batch.par_iter().enumerate().map(cut_one).collect::<Vec<_>>() {
+            let (crop, matte) = done?;
+            frames.extend_from_slice(&crop.data);
+            alpha.extend_from_slice(&matte);
+        }
+        batch.clear();
+        let step = (total + alpha.len() / (size * size)) as u64;
+        report(progress, Progress { step, total: 2 * total as u64, metric: None })
+    };
+    for_each_frame(source, options, |_, image| {
+        batch.push(image);
+        if batch.len() == BATCH_FRAMES { flush(&mut batch) } else { Ok(()) }
+    })?;
+    flush(&mut batch)?;
+    let sequence = Sequence { frames, alpha, times_seconds: followed.times_seconds.clone() };
+    Ok(Clip::new("input", size, size, sequence)?)
+}
+
+/// For every frame the landmarks of the nearest frame that has a face, in crop pixels.
+fn nearest_faces(faces: &[Option<FaceLandmarks>], square: CropSquare, size: usize) -> Vec<Vec<[f32; 3]>> {
+    let seen: Vec<usize> = (0..faces.len()).filter(|i| faces[*i].is_some()).collect();
+    let in_crop = |face: &FaceLandmarks| -> Vec<[f32; 3]> {
+        let point = |[x, y, z]: &[f32; 3]| {
+            let [x, y] = square.crop_from_source([*x, *y], size);
+            [x, y, *z]
+        };
+        face.points_px.iter().map(point).collect()
+    };
+    let nearest = |i: usize| {
+        let after = seen.partition_point(|s| *s < i);
+        let candidates = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|k| seen.get(k));
+        candidates.min_by_key(|s| s.abs_diff(i)).and_then(|s| faces[*s].as_ref()).map(in_crop).unwrap_or_default()
+    };
+    (0..faces.len()).map(nearest).collect()
+}
