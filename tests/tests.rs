@@ -1,1 +1,9 @@
 //! The integration tests of the house, in modules by intent.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod graphs;
+mod house;
+mod laws;
+
+// Linked for the nodes they register.
+use {heartian_nodes_avatar as _, heartian_nodes_capture as _, heartian_nodes_measure as _, heartian_nodes_pulse as _};

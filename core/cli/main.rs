@@ -1,1 +1,37 @@
-fn main() {}
+//! The `heartian` command: arguments in, a graph run, its results in a folder.
+//!
+//! Exit code 0 when all went well, 1 when something is wrong with a graph or a node, 2 for wrong usage, 130 when
+//! interrupted. Results go to standard output, progress and errors to standard error.
+
+mod arguments;
+mod avi;
+mod compare;
+mod deliver;
+mod manual;
+mod models;
+mod progress;
+mod run;
+mod summary;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use crate::arguments::{Arguments, Command};
+
+// Linked for the nodes they register.
+use {heartian_nodes_avatar as _, heartian_nodes_capture as _, heartian_nodes_measure as _, heartian_nodes_pulse as _};
+
+fn main() -> ExitCode {
+    let done = match Arguments::parse().command {
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Check(arguments) => run::check(&arguments),
+        Command::Nodes { kind } => manual::print(kind.as_deref()),
+        Command::Compare { runs } => compare::print(&runs),
+        Command::Models { action } => models::act(action),
+    };
+    done.unwrap_or_else(|report| {
+        eprintln!("{report:?}");
+        ExitCode::FAILURE
+    })
+}

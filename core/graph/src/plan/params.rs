@@ -105,8 +105,9 @@ fn out_of_bounds(param: &ParamDoc, value: &Value) -> Option<String> {
             (!(least..=greatest).contains(&number)).then(|| format!("is {number}; it must be {bounds}"))
         }
         Value::String(word) if !param.choices.is_empty() && !param.choices.contains(&word.as_str()) => {
-            let proposal = suggest(word, param.choices.iter().copied(), "choices").unwrap_or_default();
-            Some(format!("is `{word}`; it must be one of {} ({proposal})", param.choices.join(", ")))
+            let proposal = suggest(word, param.choices.iter().copied(), "").filter(|text| text.starts_with("did"));
+            let proposal = proposal.map_or(String::new(), |text| format!(" ({text})"));
+            Some(format!("is `{word}`; it must be one of {}{proposal}", param.choices.join(", ")))
         }
         Value::Array(values) => values.iter().find_map(|value| out_of_bounds(param, value)),
         Value::Object(values) => values.values().find_map(|value| out_of_bounds(param, value)),

