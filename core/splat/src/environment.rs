@@ -79,16 +79,15 @@ impl Environment {
             return Err(SplatError::Light { path: "(picture)".into(), reason: "it has no pixels".into() });
         }
         let mut sum = vec![[0.0f64; 3]; COUNT];
-        for row in 0..height {
-            let edge = |r: usize| (std::f64::consts::PI * r as f64 / height as f64).cos();
-            // Exact solid angle of a pixel of this row.
-            let solid_angle = std::f64::consts::TAU / width as f64 * (edge(row) - edge(row + 1));
-            for column in 0..width {
-                let y = basis_f64(direction_of_pixel(column, row, width, height));
-                let pixel = &image.data[3 * (row * width + column)..][..3];
+        for row in 0..NODES[1] {
+            let edge = |r: usize| (std::f64::consts::PI * r as f64 / NODES[1] as f64).cos();
+            // Exact solid angle of a node of this row.
+            let solid_angle = std::f64::consts::TAU / NODES[0] as f64 * (edge(row) - edge(row + 1));
+            for column in 0..NODES[0] {
+                let radiance = mean_over_node(image, [column, row]);
+                let y = basis_f64(direction_of_pixel(column, row, NODES[0], NODES[1]));
                 for (s, y) in sum.iter_mut().zip(y) {
-                    for (s, &p) in s.iter_mut().zip(pixel) {
-                        let radiance = if p.is_finite() { f64::from(p.max(0.0)) } else { 0.0 };
+                    for (s, radiance) in s.iter_mut().zip(radiance) {
                         *s += y * solid_angle * radiance;
                     }
                 }
@@ -136,6 +135,30 @@ impl Environment {
         }
         Self { radiance: sum.into_iter().map(|s| s.map(|v| v as f32)).collect() }
     }
+}
+
+/// Columns and rows that a picture is averaged onto before it is projected: bands 0 to 4 need no more.
+const NODES: [usize; 2] = [256, 128];
+
+/// Mean radiance of a picture over a node, each pixel by the share of it that the node covers.
+fn mean_over_node(image: &LightImage, node: [usize; 2]) -> [f64; 3] {
+    let size = [image.width, image.height];
+    let [columns, rows] = [0, 1].map(|k| {
+        let (from, to) =
+            ((node[k] * size[k]) as f64 / NODES[k] as f64, ((node[k] + 1) * size[k]) as f64 / NODES[k] as f64);
+        let last = (to.ceil() as usize).min(size[k]);
+        (from as usize..last).map(move |i| (i, (to.min(i as f64 + 1.0) - from.max(i as f64)).max(0.0)))
+    });
+    let (mut sum, mut whole) = ([0.0; 3], 0.0);
+    for (row, share_of_row) in rows {
+        for (column, share) in columns.clone() {
+            whole += share * share_of_row;
+            for (s, &p) in sum.iter_mut().zip(&image.data[3 * (row * image.width + column)..]) {
+                *s += share * share_of_row * if p.is_finite() { f64::from(p.max(0.0)) } else { 0.0 };
+            }
+        }
+    }
+    if whole > 0.0 { sum.map(|s| s / whole) } else { sum }
 }
 
 /// World direction of a pixel's centre in a latitude–longitude picture.

@@ -24,6 +24,9 @@ mod shade;
 mod ssim;
 mod transfer;
 
+#[cfg(test)]
+mod tests;
+
 pub use adam::{Adam, AdamOptions};
 pub use blend_weights::{Csr, blend_weights};
 pub use environment::{Environment, RADIANCE_COEFFICIENTS};

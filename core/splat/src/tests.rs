@@ -1,0 +1,8 @@
+//! Tests of the whole crate: parity of fast and naive texts, finite differences, poison, determinism, the peers' scenes.
+
+mod gradients;
+mod lights;
+mod losses;
+mod peers;
+mod poison;
+mod scenes;
