@@ -13,8 +13,8 @@ params! {
     pub struct BenchmarkDecoder {
         /// Which methods, in this order.
         methods: Vec<ReadBy> = vec![ReadBy::Pos], choices(&["Pos", "Chrom", "Green", "Ica", "Lgi", "Pbv", "Omit"]);
-        /// Which pixels count: the whole frame, as rPPG-Toolbox reads a face crop, or each by its alpha.
-        pixels: Pixels = Pixels::Frame, choices(&["Frame", "Matte"]);
+        /// Which pixels count: each by its alpha, or the whole frame, as rPPG-Toolbox reads a face crop.
+        pixels: Pixels = Pixels::Matte, choices(&["Frame", "Matte"]);
         /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm) or rPPG-Toolbox's (0.6–3.3 Hz, next
         /// power of two).
         convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox"]);
