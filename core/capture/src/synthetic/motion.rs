@@ -249,7 +249,7 @@ fn glances(random: Random, seconds: f64) -> Vec<Glance> {
     while time < seconds {
         let draw = random.substream(list.len() as u64 + 1);
         // Every other glance returns to the camera.
-        let size = if list.len() % 2 == 0 { 1.0 } else { 0.15 };
+        let size = if list.len().is_multiple_of(2) { 1.0 } else { 0.15 };
         let gaze_radians = [size * draw.between(0, -0.12, 0.12), size * draw.between(1, -0.06, 0.06)];
         list.push(Glance { seconds: time, gaze_radians });
         time += draw.between(2, 0.6, 2.4);

@@ -16,7 +16,7 @@ use crate::mesh::{
 
 /// The most area lights a scene has.
 const LIGHTS: usize = 3;
-/// Standard deviation of the matte's error on a half-covered pixel.
+/// Standard deviation of the matte's error on a half-covered pixel of the outline.
 const MATTE_NOISE: f32 = 0.03;
 /// A landmark hidden by a surface this much nearer is occluded, metres.
 const OCCLUSION_METRES: f32 = 0.008;
@@ -181,7 +181,7 @@ impl Scene {
                 frame.colors[3 * pixel + channel] = self.sensor.expose(light[channel], noise, counter);
             }
             if matte > 0.0 {
-                let spread = MATTE_NOISE * (4.0 * matte * (1.0 - matte).max(0.0)).sqrt();
+                let spread = MATTE_NOISE * (4.0 * covered * (1.0 - covered).max(0.0)).sqrt();
                 let noisy = matte + spread * matte_noise.fast_normal(pixel as u64);
                 frame.alpha[pixel] = (255.0 * noisy + 0.5).clamp(0.0, 255.0) as u8;
             }
