@@ -53,7 +53,12 @@ pub struct FrameState {
 impl MotionModel {
     /// Number of motion coefficients, `K`.
     pub fn modes(&self) -> usize {
-        self.matrix.len() / (self.expression_count + EXTRA)
+        self.matrix.len() / self.width()
+    }
+
+    /// Number of tracked numbers, `E + 11`.
+    pub fn width(&self) -> usize {
+        self.expression_count + EXTRA
     }
 
     /// What a tracked frame says.
@@ -61,7 +66,7 @@ impl MotionModel {
         let raw = tracked_numbers(frame, self.expression_count);
         let coefficients = self
             .matrix
-            .chunks(self.expression_count + EXTRA)
+            .chunks(self.width())
             .map(|row| row.iter().zip(&raw).zip(&self.origin).map(|((m, r), o)| m * (r - o)).sum())
             .collect();
         FrameState { pose: pose_of(frame), coefficients }

@@ -6,6 +6,7 @@
 //! Frames outside training get the tracked pose plus one global affine correction fitted (ridge) to the training
 //! offsets; their pictures are never used.
 
+use crate::linear::solve;
 use crate::motion::FrameState;
 use crate::rig::POSE_SIZE;
 
@@ -181,23 +182,6 @@ impl Refiner {
 /// One, then the driving numbers of a tracked frame.
 fn drivers(tracked: &[f64]) -> Vec<f64> {
     std::iter::once(1.0).chain(DRIVERS.iter().map(|&index| tracked[index])).collect()
-}
-
-/// Solves a symmetric positive definite system by Cholesky's decomposition.
-fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
-    for i in 0..N {
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
-            a[i][j] = if i == j { (a[i][i] - dot).max(1e-30).sqrt() } else { (a[i][j] - dot) / a[j][j] };
-        }
-    }
-    for i in 0..N {
-        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    for i in (0..N).rev() {
-        b[i] = (b[i] - (i + 1..N).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    b
 }
 
 #[cfg(test)]

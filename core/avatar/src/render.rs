@@ -1,0 +1,113 @@
+//! An avatar on a track as a clip: over black with its matte, 8 bits, under its own light or another.
+//!
+//! Frames are independent, so they are rendered in parallel and the result does not depend on the number of threads.
+//! A clip holds straight colours: what is composited over black is divided by alpha before it is stored. A modulation
+//! of zero gives the same bytes as none.
+
+use heartian_face::Track;
+use heartian_space::{Clip, Modulation, Sequence, color};
+use heartian_splat::{Environment, Frame, shade, srgb_encode};
+use rayon::prelude::*;
+
+use crate::AvatarError;
+use crate::avatar::Avatar;
+use crate::motion::FrameState;
+use crate::picture::{Features, GreenOffsets, Scene};
+
+/// What to render.
+#[derive(Clone, Debug, Default)]
+pub struct RenderOptions<'a> {
+    /// The clip's label.
+    pub label: &'a str,
+    /// Light instead of the recording's.
+    pub environment: Option<&'a Environment>,
+    /// What is added to the green albedo of some Gaussians, frame by frame.
+    pub modulation: Option<&'a Modulation>,
+    /// Side of the square picture instead of the recording's size, pixels.
+    pub size: Option<usize>,
+}
+
+/// Renders every frame of a track.
+///
+/// # Errors
+/// When the track does not fit the avatar, or the modulation names other frames or Gaussians.
+pub fn render_clip(avatar: &Avatar, track: &Track, options: &RenderOptions<'_>) -> Result<Clip, AvatarError> {
+    let states = avatar.states_for(track)?;
+    let states: Vec<&FrameState> = states.iter().collect();
+    render_states(avatar, &states, &track.times_seconds, options)
+}
+
+/// The avatar under another light.
+pub fn relight(avatar: &Avatar, environment: Environment) -> Avatar {
+    Avatar { environment, ..avatar.clone() }
+}
+
+/// Renders given states at given times.
+pub(crate) fn render_states(
+    avatar: &Avatar,
+    states: &[&FrameState],
+    times_seconds: &[f64],
+    options: &RenderOptions<'_>,
+) -> Result<Clip, AvatarError> {
+    check_modulation(avatar, states.len(), options)?;
+    let mut camera = avatar.camera;
+    if let Some(size) = options.size {
+        camera = camera.scaled_to(size, size);
+    }
+    let environment = options.environment.unwrap_or(&avatar.environment);
+    let frames: Vec<(Vec<u8>, Vec<u8>)> = states
+        .par_iter()
+        .enumerate()
+        .map(|(index, state)| {
+            let mut scene =
+                Scene::new(&avatar.canonical, &avatar.motion.motion(state), &camera, Features::Materials);
+            if let Some(modulation) = options.modulation {
+                scene.add_green(GreenOffsets { gaussians: &modulation.gaussians, offsets: modulation.frame(index) });
+            }
+            let picture = scene.picture(&camera)?;
+            let linear = shade(&picture.frame, &camera, environment)?;
+            Ok(quantised(&picture.frame, &srgb_encode(&linear)))
+        })
+        .collect::<Result<_, AvatarError>>()?;
+    let (mut colors, mut alpha) = (Vec::new(), Vec::new());
+    for (frame_colors, frame_alpha) in frames {
+        colors.extend(frame_colors);
+        alpha.extend(frame_alpha);
+    }
+    let sequence = Sequence { frames: colors, alpha, times_seconds: times_seconds.to_vec() };
+    Ok(Clip::new(options.label, camera.width, camera.height, sequence)?)
+}
+
+fn check_modulation(avatar: &Avatar, frames: usize, options: &RenderOptions<'_>) -> Result<(), AvatarError> {
+    let Some(modulation) = options.modulation else { return Ok(()) };
+    if modulation.times_seconds.len() != frames {
+        let (expected, found) = (frames.to_string(), modulation.times_seconds.len().to_string());
+        return Err(AvatarError::Mismatch { what: "frames of the modulation", expected, found });
+    }
+    match modulation.gaussians.iter().find(|&&index| index as usize >= avatar.len()) {
+        None => Ok(()),
+        Some(&index) => {
+            Err(AvatarError::Index { what: "the modulation", index: index as usize, count: avatar.len() })
+        }
+    }
+}
+
+/// Straight 8-bit colours and matte of a picture composited over black (planes, sRGB-encoded).
+fn quantised(frame: &Frame, encoded: &[f32]) -> (Vec<u8>, Vec<u8>) {
+    let pixels = frame.width * frame.height;
+    let mut colors = vec![0u8; 3 * pixels];
+    let mut alpha = vec![0u8; pixels];
+    for pixel in 0..pixels {
+        let solid = 1.0 - frame.transmittance[pixel];
+        let matte = color::quantise(solid);
+        alpha[pixel] = matte;
+        // Divided by the matte as it is stored, so that compositing gives back what was rendered.
+        let unit = f32::from(matte) / 255.0;
+        if matte > 0 {
+            for channel in 0..3 {
+                colors[3 * pixel + channel] = color::quantise(encoded[channel * pixels + pixel] / unit);
+            }
+        }
+    }
+    (colors, alpha)
+}

@@ -1,0 +1,118 @@
+//! From composited planes to a picture in the encoding it is compared in, the loss there, and the way back.
+//!
+//! Unshaded, the albedo planes are the picture in linear light; shaded, they pass through deferred shading. Loss:
+//! `0.8·L1 + 0.2·(1 − SSIM)` on sRGB over black, the matte's mean absolute error, a tie of the composited normals to
+//! their neighbours, and a small one of the light's higher bands to zero.
+
+use heartian_splat::{
+    Adam, AdamOptions, Environment, FrameGradient, PhotometricWeights, mask_loss, photometric, shade, shade_backward,
+    srgb_encode, srgb_encode_backward,
+};
+
+use super::targets::{Level, Target};
+use crate::AvatarError;
+use crate::canonical::Canonical;
+use crate::deform::Motion;
+use crate::picture::{Features, PictureGradient, Scene};
+
+/// Weight of the matte's mean absolute error.
+const MASK_WEIGHT: f32 = 0.2;
+/// Rate of the light's coefficients at the start.
+const LIGHT_RATE: f32 = 3e-3;
+/// Pull of the light's bands 1 and higher to zero, per step and rate.
+const LIGHT_DECAY: f32 = 1e-3;
+
+/// How planes become a picture.
+pub(crate) struct Appearance {
+    light: Option<Light>,
+}
+
+/// The light on its way.
+struct Light {
+    environment: Environment,
+    adam: Adam,
+}
+
+/// Losses of one step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct StepLoss {
+    /// Mean squared error of the encoded picture.
+    pub squared_error: f64,
+}
+
+impl Appearance {
+    /// The albedo planes are the picture.
+    pub fn unshaded() -> Self {
+        Self { light: None }
+    }
+
+    /// Shading under a light that is fitted too.
+    pub fn shaded(environment: Environment) -> Self {
+        let options = AdamOptions { beta2: 0.99, ..AdamOptions::default() };
+        let adam = Adam::new(3 * environment.radiance.len(), options);
+        Self { light: Some(Light { environment, adam }) }
+    }
+
+    /// Whether there is no light yet.
+    pub fn is_unshaded(&self) -> bool {
+        self.light.is_none()
+    }
+
+    /// The light; uniform white when there is none yet.
+    pub fn environment(&self) -> Environment {
+        self.light.as_ref().map_or_else(|| Environment::uniform([1.0; 3]), |light| light.environment.clone())
+    }
+
+    /// Renders, compares and pulls back: *adds* to `gradient` and moves the light by `decay` times its rate.
+    pub fn step(
+        &mut self,
+        canonical: &Canonical,
+        motion: &Motion,
+        (level, decay): (&Level, f32),
+        target: &Target,
+        gradient: &mut Canonical,
+    ) -> Result<(StepLoss, PictureGradient), AvatarError> {
+        let camera = &level.camera;
+        let kind = if self.is_unshaded() { Features::Albedo } else { Features::Materials };
+        let picture = Scene::new(canonical, motion, camera, kind).picture(camera)?;
+        let frame = &picture.frame;
+        let linear = match &self.light {
+            None => frame.planes.clone(),
+            Some(light) => shade(frame, camera, &light.environment)?,
+        };
+        let encoded = srgb_encode(&linear);
+        let mut on_image = vec![0.0; encoded.len()];
+        photometric(&encoded, &target.rgb, [camera.width, camera.height], PhotometricWeights::default(), &mut on_image)?;
+        let squared_error = mean_squared_error(&encoded, &target.rgb);
+        srgb_encode_backward(&linear, &mut on_image)?;
+        let (planes, mut on_transmittance) = match &mut self.light {
+            None => (on_image, vec![0.0; frame.transmittance.len()]),
+            Some(light) => {
+                let back = shade_backward(frame, camera, &light.environment, &on_image)?;
+                light.step(&back.radiance, decay)?;
+                (back.planes, back.transmittance)
+            }
+        };
+        mask_loss(&frame.transmittance, &target.alpha, MASK_WEIGHT, &mut on_transmittance)?;
+        let upstream = FrameGradient { planes: &planes, depth: &[], transmittance: &on_transmittance };
+        let pulled = picture.backward(canonical, motion, &upstream, gradient)?;
+        Ok((StepLoss { squared_error }, pulled))
+    }
+}
+
+impl Light {
+    fn step(&mut self, gradient: &[[f32; 3]], decay: f32) -> Result<(), AvatarError> {
+        let rate = LIGHT_RATE * decay;
+        let radiance = self.environment.radiance.as_flattened_mut();
+        self.adam.step(radiance, gradient.as_flattened(), rate)?;
+        for coefficient in radiance.iter_mut().skip(3) {
+            *coefficient *= 1.0 - LIGHT_DECAY * rate / LIGHT_RATE;
+        }
+        Ok(())
+    }
+}
+
+fn mean_squared_error(image: &[f32], target: &[f32]) -> f64 {
+    let sum: f64 = image.iter().zip(target).map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b) * (a.clamp(0.0, 1.0) - b))).sum();
+    sum / image.len().max(1) as f64
+}
