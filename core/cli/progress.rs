@@ -1,11 +1,12 @@
 //! One live line per running node on a terminal; warnings always; nothing else when standard error is not a terminal.
 
 use std::collections::HashMap;
+use std::fmt::Write;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use heartian_graph::{Event, Observer, Progress, Status};
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 
 /// How often a line's clock ticks between reports.
 const TICK: Duration = Duration::from_millis(200);
@@ -17,7 +18,11 @@ pub struct Terminal {
 }
 
 fn style(template: &str) -> ProgressStyle {
-    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+    let rate = |state: &ProgressState, text: &mut dyn Write| {
+        // A line that cannot be written is a line not shown.
+        let _ = write!(text, "{:.1}/s", state.per_sec());
+    };
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).with_key("rate", rate)
 }
 
 impl Terminal {
@@ -56,9 +61,9 @@ impl Terminal {
 fn report(bar: &ProgressBar, progress: Progress) {
     if progress.total > 0 && bar.length() != Some(progress.total) {
         bar.set_length(progress.total);
-        bar.set_style(style("{spinner} {prefix}  {bar:24} {pos}/{len}  {per_sec}  {eta} left  {msg}"));
+        bar.set_style(style("{spinner} {prefix}  {bar:24} {pos}/{len}  {rate}  {eta} left  {msg}"));
     } else if progress.total == 0 && bar.length().is_none() {
-        bar.set_style(style("{spinner} {prefix}  {pos}  {per_sec}  {elapsed}  {msg}"));
+        bar.set_style(style("{spinner} {prefix}  {pos}  {rate}  {elapsed}  {msg}"));
     }
     if let Some((name, value)) = progress.metric {
         bar.set_message(format!("{name} {value:.3}"));

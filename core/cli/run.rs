@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use heartian_graph::{Cache, Cancel, Graph, NodeReport, Plan, Registry, Run, RunOptions, Status};
-use miette::Result;
+use miette::{Result, miette};
 
 use crate::arguments::{GraphArguments, RunArguments};
 use crate::deliver::{Delivery, deliver};
@@ -50,18 +50,24 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode> {
     let folder =
         arguments.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("{}-{short}", file_name(&plan.name))));
     let mut reports: Vec<NodeReport> = Vec::new();
-    for _ in 0..DELIVERIES {
+    let mut attempts = 0;
+    let delivered = loop {
         reports = merge(reports, quietly(|| run.execute(&options)));
         let delivery = Delivery { graph: &graph, sets: &arguments.graph.sets, plan: &plan, cache: &cache, fingerprint };
         let delivered = deliver(&delivery, &reports, &folder)?;
-        delivered.warnings.iter().for_each(|text| terminal.warn("results", text));
+        attempts += 1;
         if !delivered.damaged || cancel.requested() {
-            terminal.finish();
-            print!("{}", summary::run(&plan.name, &reports, &delivered.metrics, start.elapsed()));
-            println!("{}", folder.display());
-            break;
+            break delivered;
         }
-    }
+        if attempts == DELIVERIES {
+            let help = "choose another folder with --cache DIR";
+            return Err(miette!(help = help, "`{}` does not keep what is written to it", cache.root().display()));
+        }
+    };
+    terminal.finish();
+    delivered.warnings.iter().for_each(|text| terminal.warn("results", text));
+    print!("{}", summary::run(&plan.name, &reports, &delivered.metrics, start.elapsed()));
+    println!("{}", folder.display());
     let problems: Vec<_> = reports.iter().filter_map(|report| report.problem(&plan)).collect();
     if cancel.requested() {
         eprintln!("interrupted; what is finished is kept");

@@ -185,9 +185,12 @@ impl Diagnostic for Problems {
     }
 }
 
+/// More candidates than this are not compared, so that a large graph with many mistakes is still refused at once.
+pub(crate) const CANDIDATES: usize = 5000;
+
 /// "did you mean `x`?" for the nearest of `known`, or the list of them when few.
 pub(crate) fn suggest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>, what: &str) -> Option<String> {
-    let known: Vec<&str> = known.into_iter().collect();
+    let known: Vec<&str> = known.into_iter().take(CANDIDATES).collect();
     let score = |candidate: &&str| strsim::jaro_winkler(&word.to_lowercase(), &candidate.to_lowercase());
     let nearest = known.iter().copied().map(|candidate| (score(&candidate), candidate));
     let nearest = nearest.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score >= 0.8);

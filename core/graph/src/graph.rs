@@ -133,12 +133,12 @@ impl Graph {
     /// Applies `node.param=value` from the command line. The value is RON; what is not RON, or does not fit the
     /// parameter, is taken as a string. Mistakes are kept for [`Graph::plan`] to report.
     pub fn set(&mut self, argument: &str) {
-        if let Err(problem) = self.try_set(argument) {
-            self.problems.push(problem);
+        if let Err(problems) = self.try_set(argument) {
+            self.problems.0.extend(problems.0);
         }
     }
 
-    fn try_set(&mut self, argument: &str) -> Result<(), Problem> {
+    fn try_set(&mut self, argument: &str) -> Result<(), Problems> {
         let source = Source::new("--set", argument.to_owned());
         let place = |start: usize, end: usize| Place { source: source.clone(), span: Span { start, end } };
         let whole = place(0, argument.len());
@@ -150,7 +150,7 @@ impl Graph {
         let (id, param) = target.rsplit_once('.').ok_or_else(form)?;
         let Some(index) = self.node_index(id) else {
             let problem = Problem::new(&place(0, id.len()), format!("the graph has no node `{id}`"));
-            return Err(problem.maybe_help(suggest(id, self.node_ids(), "nodes")));
+            return Err(problem.maybe_help(suggest(id, self.node_ids(), "nodes")).into());
         };
         let span = Span { start: target.len() + 1, end: argument.len() };
         let value = ParamValue {

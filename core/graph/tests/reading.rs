@@ -39,6 +39,16 @@ proptest! {
     }
 
     #[test]
+    fn any_setting_is_taken_or_refused(start in prop_oneof![Just(""), Just("a.values="), Just("a."), Just("a.label=")],
+                                       rest in "\\PC{0,20}") {
+        let mut graph = Graph::parse("p.ron", "(nodes: {\"a\": (kind: \"Constant\")})").unwrap();
+        graph.set(&format!("{start}{rest}"));
+        for problem in graph.plan(&registry(), &[]).err().iter().flat_map(|problems| &problems.0) {
+            prop_assert!(!problem.one_line().is_empty());
+        }
+    }
+
+    #[test]
     fn a_damaged_graph_is_read_or_refused(at in 0usize..200, with in "\\PC{0,3}", cut in 0usize..6) {
         let text = "Graph(name: \"n\", nodes: {\"a\": (kind: \"Constant\", params: (values: [1, -2.5e3], label: Some(\"é\"))), \
                     \"b\": (kind: \"Sum\", inputs: {\"terms\": [\"a.numbers\", \"a.numbers\"]})}) // end";

@@ -41,6 +41,16 @@ fn a_cycle_of_100_000_nodes_is_found() {
     assert!(problems.0[0].one_line().len() < 600);
 }
 
+/// As many mistakes as nodes are counted, and shown only in part, without comparing all with all.
+#[test]
+fn a_graph_that_is_wrong_everywhere_is_refused_at_once() {
+    let start = Instant::now();
+    let text = chain(30_000).replace(".numbers\"", ".nombers\"").replace("amount: 1", "amuont: 1");
+    let problems = Graph::parse("chain.ron", &text).unwrap().plan(&crate::nodes::registry(), &[]).err().unwrap();
+    assert_eq!(problems.0.len(), 2 * 29_999);
+    assert!(start.elapsed().as_secs() < 30, "{:?}", start.elapsed());
+}
+
 /// Measured, not only passed: run with `--nocapture` to see the times.
 #[test]
 fn a_thousand_nodes_run_and_hit_quickly() {

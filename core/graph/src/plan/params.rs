@@ -20,7 +20,7 @@ pub(super) fn build(spec: &NodeSpec, kind: &NodeKind, problems: &mut Problems) -
     for (name, value) in &spec.params {
         match check_one(spec, kind, (name, value)) {
             Ok(tree) => values.push((&name.value, tree)),
-            Err(problem) => problems.push(problem),
+            Err(found) => problems.0.extend(found.0),
         }
         places.insert(name.value.clone(), value.place.clone());
     }
@@ -60,19 +60,19 @@ fn check_one<'s>(
     spec: &NodeSpec,
     kind: &NodeKind,
     (name, value): (&Located<String>, &'s ParamValue),
-) -> Result<&'s Spanned, Problem> {
+) -> Result<&'s Spanned, Problems> {
     let id = &spec.id.value;
     let Some(param) = kind.param(&name.value) else {
         let message = format!("node `{id}` ({}) has no parameter `{}`", kind.kind, name.value);
         let known = kind.params.iter().map(|param| param.name);
-        return Err(Problem::new(&name.place, message).maybe_help(suggest(&name.value, known, "parameters")));
+        return Err(Problem::new(&name.place, message).maybe_help(suggest(&name.value, known, "parameters")).into());
     };
     let mut first: Option<DeError> = None;
     for tree in value.tree.iter().chain(&value.bare) {
         if let Some(number) = tree.non_finite() {
             let place = Place { span: number.span, ..value.place.clone() };
             let message = format!("node `{id}`: parameter `{}` must be a finite number", name.value);
-            return Err(Problem::new(&place, message));
+            return Err(Problem::new(&place, message).into());
         }
         match kind.build(&[(&name.value, tree)]) {
             Ok(_) => return Ok(tree),
@@ -87,7 +87,8 @@ fn check_one<'s>(
     let unit = param.unit.map_or(String::new(), |unit| format!(", in {unit}"));
     Err(Problem::new(&place, format!("node `{id}`: parameter `{}`: {reason}", name.value))
         .label(format!("takes {}{unit}", param.type_name))
-        .help(param.text()))
+        .help(param.text())
+        .into())
 }
 
 /// Why a value breaks the parameter's range or choices, if it does.

@@ -1,6 +1,6 @@
 //! Wires: every name looked up, every type compared.
 
-use crate::diagnostic::{Problem, Problems, suggest};
+use crate::diagnostic::{CANDIDATES, Problem, Problems, suggest};
 use crate::graph::{Graph, Located, WireSpec};
 use crate::node::Port;
 use crate::registry::NodeKind;
@@ -85,7 +85,8 @@ fn sources(
 
 /// Up to eight outputs of other nodes that the input would take.
 fn fitting_outputs(graph: &Graph, kinds: &[Option<&NodeKind>], end: &End<'_>) -> Vec<String> {
-    let others = graph.nodes.iter().zip(kinds).filter(|(node, _)| node.id.value != end.node);
+    let nodes = graph.nodes.iter().zip(kinds).take(CANDIDATES);
+    let others = nodes.filter(|(node, _)| node.id.value != end.node);
     let ports = others.flat_map(|(node, kind)| kind.iter().flat_map(|kind| kind.outputs).map(move |port| (node, port)));
     let fitting = ports.filter(|(_, port)| port.artifact == end.port.artifact);
     fitting.map(|(node, port)| format!("{}.{}", node.id.value, port.name)).take(8).collect()

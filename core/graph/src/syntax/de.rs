@@ -270,7 +270,6 @@ mod tests {
     use serde::{Deserialize, Serialize};
 
     use super::super::read;
-    use super::*;
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
     enum Mode {
