@@ -50,7 +50,7 @@ impl Default for ResidualOptions {
         Self {
             steps: 300,
             width: 128,
-            patches: 8,
+            patches: 4,
             rate: Schedule { first: 3.8e-3, last: 5e-4, steps: 1.0 },
             residual_weight: 0.3,
             residual_weight_rate: 1e-4,
@@ -117,7 +117,7 @@ pub fn fit_residual(
     let mut fitted = pulse.clone();
     fitted.strength.residual_weight = residual_weight;
     fitted.residual = Some(network);
-    let (modulation, limited) = evaluate_all(&fitted, skin, &options.evaluation)?;
+    let (modulation, limited) = finish(&mut fitted, skin, options)?;
     let full = mean_offsets(&modulation);
     fitted.report = FitReport {
         steps: pulse.report.steps + u64::from(options.steps),
@@ -127,6 +127,28 @@ pub fn fit_residual(
         ..pulse.report
     };
     Ok((fitted, modulation))
+}
+
+/// Evaluates the modulation and holds its strength: where the residual adds more than [`MOST_GROWTH`] to the rms of the
+/// fundamental (a recording that is mostly motion), A is lowered until it does not.
+fn finish(pulse: &mut Pulse, skin: &Skin, options: &ResidualOptions) -> Result<(Modulation, u64), PulseError> {
+    let first = evaluate_all(pulse, skin, &options.evaluation)?;
+    let growth = deviation(&mean_offsets(&first.0)) / deviation(&pulse.fundamental).max(1e-12);
+    if growth <= MOST_GROWTH {
+        return Ok(first);
+    }
+    let factor = MOST_GROWTH / growth;
+    pulse.strength.scale *= factor;
+    pulse.fundamental.iter_mut().for_each(|value| *value *= factor);
+    evaluate_all(pulse, skin, &options.evaluation)
+}
+
+/// Largest ratio of the full modulation's rms to the fundamental's.
+const MOST_GROWTH: f64 = 1.5;
+
+fn deviation(values: &[f64]) -> f64 {
+    let centre = mean(values);
+    mean(&values.iter().map(|value| (value - centre).powi(2)).collect::<Vec<_>>()).sqrt()
 }
 
 /// Mean offset over all Gaussians, one a frame: the attribute signal less the constant mean albedo.

@@ -3,7 +3,9 @@
 mod broken;
 mod rates;
 mod recordings;
+mod strength;
 mod table;
+mod weak;
 
 use std::ops::ControlFlow;
 

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use super::*;
+use crate::{ResidualOptions, fit_residual, mean_offsets};
 
 /// A recording, if it is there: CSV with the header `time_s,ppg`.
 pub(super) fn recording(file: &str) -> Option<Series> {
@@ -15,4 +16,32 @@ pub(super) fn recording(file: &str) -> Option<Series> {
     let rows = text.lines().skip(1).filter_map(|line| line.split_once(','));
     let (times_seconds, values) = rows.map(|(t, v)| (t.parse::<f64>().unwrap(), v.parse::<f64>().unwrap())).unzip();
     Some(Series::new(times_seconds, values).unwrap())
+}
+
+#[test]
+fn real_recordings_are_embedded_at_their_own_rate() {
+    for (file, seconds, rate) in
+        [("ppg_clean_100hz.csv", 24.0, 24.0), ("ppg_wrist_100hz.csv", 20.0, 30.0), ("ppg_noisy_117hz.csv", 30.0, 24.0)]
+    {
+        let Some(ppg) = recording(file) else { continue };
+        let reference = Reference::from_ppg(&ppg, &times(seconds, rate)).unwrap();
+        let (pulse, before) = fit(&reference, &PhaseOptions::default()).unwrap();
+        let options = ResidualOptions { width: 64, ..ResidualOptions::default() };
+        let (fitted, modulation) = fit_residual(&pulse, &skin(200), None, &options, &mut onwards).unwrap();
+        let (found, wanted) = (read_bpm(&mean_offsets(&modulation), rate), read_bpm(&reference.waveform, rate));
+        let full = fitted.report.full_pearson.unwrap();
+        let shape = before.fundamental_pearson;
+        println!(
+            "{file}: {found:.2} bpm of {wanted:.2} (beats {:.2}), pearson {shape:.4} → {full:.4}",
+            reference.mean_bpm
+        );
+        assert!((found - wanted).abs() < 0.3 && full > 0.97 && full >= shape, "{file}");
+    }
+}
+
+#[test]
+fn the_clean_recording_has_the_beat_rate_its_readme_states() {
+    let Some(ppg) = recording("ppg_clean_100hz.csv") else { return };
+    let reference = Reference::from_ppg(&ppg, &times(24.0, 24.0)).unwrap();
+    assert!((reference.mean_bpm - 61.0).abs() < 1.0, "{}", reference.mean_bpm);
 }
