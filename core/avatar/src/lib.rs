@@ -18,6 +18,8 @@ mod linear;
 mod motion;
 mod operator;
 mod optimiser;
+#[cfg(test)]
+mod phantom;
 mod picture;
 mod refine;
 mod render;
@@ -25,6 +27,8 @@ mod rig;
 mod sample;
 mod skin;
 mod surface;
+#[cfg(test)]
+mod tests;
 mod train;
 
 pub use avatar::Avatar;
