@@ -17,9 +17,9 @@ pub struct CropSquare {
 }
 
 /// The head with hair and neck reaches this far beyond the landmarks' box, in multiples of the box's longer side.
-const ABOVE: f32 = 0.62;
-const BELOW: f32 = 0.45;
-const BESIDE: f32 = 0.42;
+const ABOVE: f32 = 0.55;
+const BELOW: f32 = 0.40;
+const BESIDE: f32 = 0.36;
 
 impl CropSquare {
     /// The smallest square that holds the head in nearly all frames; `None` without any finite landmark.

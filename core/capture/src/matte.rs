@@ -32,7 +32,7 @@ pub(crate) fn refine(image: &mut Rgb8Image, evidence: &Evidence<'_>) -> Vec<u8> 
     let radius = ((5.0 * scale).round() as usize).max(1);
     joined = guided::filter(image, &joined, radius, 4e-4);
     // The filtered mask has faint veils where the mask was sure: cut both ends and steepen the middle.
-    let person: Vec<f32> = joined.iter().map(|p| smoothstep(0.30, 0.90, *p)).collect();
+    let person: Vec<f32> = joined.iter().map(|p| smoothstep(0.40, 0.95, *p)).collect();
     let mut alpha: Vec<f32> = person.iter().zip(&face).map(|(p, face)| p.max(*face)).collect();
     keep_connected(&mut alpha, size, &face);
     rim::replace_background(image, &alpha, scale);

@@ -20,6 +20,8 @@ use crate::video::{FrameSource, VideoOptions, open};
 
 /// Full frames held at once.
 const BATCH_FRAMES: usize = 16;
+/// Frames decoded before they are asked for.
+const FRAMES_AHEAD: usize = 4;
 /// The most memory for frames and matte.
 const LARGEST_CLIP_BYTES: usize = 6 << 30;
 
@@ -99,7 +101,7 @@ struct Followed {
     frame_size: (usize, usize),
 }
 
-/// Calls `each` with every frame of the chosen part.
+/// Calls `each` with every frame of the chosen part, while a thread decodes the frames after it.
 fn for_each_frame(
     source: &Path,
     options: &RealOptions,
@@ -107,15 +109,28 @@ fn for_each_frame(
 ) -> Result<(), CaptureError> {
     let reading = VideoOptions { start_seconds: options.start_seconds, folder_hertz: options.folder_hertz };
     let mut video = open(source, &reading)?;
-    let mut first = None;
-    while let Some(frame) = video.next_frame()? {
-        let from = *first.get_or_insert(frame.seconds);
-        if frame.seconds - from >= options.seconds - 1e-6 {
-            break;
+    std::thread::scope(|scope| {
+        let (sender, frames) = std::sync::mpsc::sync_channel(FRAMES_AHEAD);
+        scope.spawn(move || {
+            // Ends at the last frame, at an error, or when the reader has hung up.
+            while let Some(next) = video.next_frame().transpose() {
+                let failed = next.is_err();
+                if sender.send(next).is_err() || failed {
+                    break;
+                }
+            }
+        });
+        let mut first = None;
+        for frame in frames {
+            let frame = frame?;
+            let from = *first.get_or_insert(frame.seconds);
+            if frame.seconds - from >= options.seconds - 1e-6 {
+                break;
+            }
+            each(frame.seconds, frame.image)?;
         }
-        each(frame.seconds, frame.image)?;
-    }
-    Ok(())
+        Ok(())
+    })
 }
 
 fn follow(
@@ -221,3 +236,6 @@ fn nearest_faces(faces: &[Option<FaceLandmarks>], square: CropSquare, size: usiz
     };
     (0..faces.len()).map(nearest).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,14 +4,9 @@ use heartian_space::Rgb8Image;
 
 /// Mean over a square window clipped to the image, by running sums in f64 along each axis.
 pub(super) fn box_mean(plane: &[f32], size: usize, radius: usize) -> Vec<f32> {
-    let rows = running(plane, size, radius);
-    let turned = transpose(&rows, size);
-    transpose(&running(&turned, size, radius), size)
-}
-
-/// Running mean along rows.
-fn running(plane: &[f32], size: usize, radius: usize) -> Vec<f32> {
-    let mut out = Vec::with_capacity(plane.len());
+    let count = |at: usize| ((at + radius).min(size - 1) - at.saturating_sub(radius) + 1) as f64;
+    let scale: Vec<f64> = (0..size).map(|at| 1.0 / count(at)).collect();
+    let mut rows = Vec::with_capacity(plane.len());
     for row in plane.chunks_exact(size.max(1)) {
         let mut sum: f64 = row[..radius.min(size)].iter().map(|v| f64::from(*v)).sum();
         for x in 0..size {
@@ -21,23 +16,24 @@ fn running(plane: &[f32], size: usize, radius: usize) -> Vec<f32> {
             if x > radius {
                 sum -= f64::from(row[x - radius - 1]);
             }
-            let count = (x + radius).min(size - 1) - x.saturating_sub(radius) + 1;
-            out.push((sum / count as f64) as f32);
+            rows.push((sum * scale[x]) as f32);
         }
     }
-    out
-}
-
-fn transpose(plane: &[f32], size: usize) -> Vec<f32> {
-    let mut out = vec![0.0; plane.len()];
-    for by in (0..size).step_by(16) {
-        for bx in (0..size).step_by(16) {
-            for y in by..(by + 16).min(size) {
-                for x in bx..(bx + 16).min(size) {
-                    out[x * size + y] = plane[y * size + x];
-                }
-            }
+    let row = |y: usize| &rows[y * size..(y + 1) * size];
+    let mut sums = vec![0.0f64; size];
+    let add = |sums: &mut [f64], y: usize, sign: f64| {
+        sums.iter_mut().zip(row(y)).for_each(|(sum, value)| *sum += sign * f64::from(*value));
+    };
+    (0..radius.min(size)).for_each(|y| add(&mut sums, y, 1.0));
+    let mut out = Vec::with_capacity(plane.len());
+    for y in 0..size {
+        if y + radius < size {
+            add(&mut sums, y + radius, 1.0);
         }
+        if y > radius {
+            add(&mut sums, y - radius - 1, -1.0);
+        }
+        out.extend(sums.iter().map(|sum| (sum * scale[y]) as f32));
     }
     out
 }

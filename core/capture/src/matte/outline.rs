@@ -10,6 +10,8 @@ const OVAL: [usize; 36] = [
 ];
 const FOREHEAD: usize = 10;
 const CHIN: usize = 152;
+/// Where the jaw turns up to the ears: the subject's right and left.
+const JAW_CORNERS: [usize; 2] = [58, 288];
 /// In profile the outline bulges past the face: draw it a little smaller.
 const SHRINK: f32 = 0.90;
 
@@ -41,26 +43,33 @@ pub(super) fn face_mask(face: &Points, size: usize) -> Vec<f32> {
 }
 
 /// 1 above the neckline, 0 below, soft between. The line turns with the face: `NECK` face heights below the chin on the
-/// face's axis, rising beside it so that shoulders go and the neck stays.
+/// axis between the jaw's corners (which stays with the neck when the head turns), rising beside it: shoulders go.
 pub(super) fn above_neckline(face: &Points, size: usize) -> Vec<f32> {
-    const NECK: f32 = 0.42;
-    const RISE: f32 = 0.9;
+    const NECK: f32 = 0.36;
+    const RISE: f32 = 1.3;
+    /// The line ends here, a little above the chin, and does not bend up into the hair.
+    const HIGHEST: f32 = -0.10;
     const SOFT: f32 = 0.05;
-    let (Some(top), Some(chin)) = (face.get(FOREHEAD), face.get(CHIN)) else { return vec![1.0; size * size] };
+    let whole = || vec![1.0; size * size];
+    let [Some(top), Some(chin), Some(right), Some(left)] =
+        [FOREHEAD, CHIN, JAW_CORNERS[0], JAW_CORNERS[1]].map(|i| face.get(i))
+    else {
+        return whole();
+    };
     let (dx, dy) = (chin[0] - top[0], chin[1] - top[1]);
     let height = dx.hypot(dy);
     if height.is_nan() || height < 1.0 || !height.is_finite() {
-        return vec![1.0; size * size];
+        return whole();
     }
     let (down_x, down_y) = (dx / height, dy / height);
+    let across = |x: f32, y: f32| (x * down_y - y * down_x) / height;
+    let axis = (across(right[0], right[1]) + across(left[0], left[1])) / 2.0;
     let mut out = Vec::with_capacity(size * size);
     for i in 0..size * size {
-        let (x, y) = ((i % size) as f32 + 0.5 - chin[0], (i / size) as f32 + 0.5 - chin[1]);
-        let below = (x * down_x + y * down_y) / height;
-        let beside = (x * down_y - y * down_x) / height;
-        let line = NECK - RISE * beside * beside;
-        // The parabola must not bend up into the hair.
-        let line = line.max(-0.12);
+        let (x, y) = ((i % size) as f32 + 0.5, (i / size) as f32 + 0.5);
+        let below = ((x - chin[0]) * down_x + (y - chin[1]) * down_y) / height;
+        let beside = across(x, y) - axis;
+        let line = (NECK - RISE * beside * beside).max(HIGHEST);
         out.push(1.0 - smoothstep(line - SOFT, line + SOFT, below));
     }
     out
@@ -127,7 +136,7 @@ mod tests {
         let want = std::f32::consts::PI * 0.2 * 0.25 * SHRINK * SHRINK;
         assert!((area - want).abs() < 0.03 * want, "{area} {want}");
         let line = above_neckline(&face, size);
-        assert_eq!((line[100 * size + 64], line[126 * size + 64], line[110 * size + 5]), (1.0, 0.0, 0.0));
+        assert_eq!((line[96 * size + 64], line[126 * size + 64], line[110 * size + 5]), (1.0, 0.0, 0.0));
         assert!(face_mask(&[], size).iter().all(|v| *v == 0.0));
         assert!(above_neckline(&[], size).iter().all(|v| *v == 1.0));
     }

@@ -1,0 +1,127 @@
+//! The whole way on the real clip, where it and the networks are there. `HEARTIAN_LOOK=file.png` also writes a sheet:
+//! landmarks, then the head over black, magenta and white.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::path::PathBuf;
+
+use super::*;
+use crate::video::VideoError;
+
+fn go(_: Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// The clip, when it lies beside the repository and the networks are installed.
+fn real_clip() -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/franck.mp4");
+    if !path.is_file() {
+        println!("skipped: ../shared/data/franck.mp4 is not there");
+        return None;
+    }
+    if let Err(error) = heartian_face::models::verify() {
+        println!("skipped: {error}");
+        return None;
+    }
+    Some(path)
+}
+
+/// Pixels of the head (alpha at least a tenth) whose blue stands out: wall that was left at the rim.
+fn blue_rim(clip: &Clip) -> f64 {
+    let (mut blue, mut head) = (0usize, 0usize);
+    for (pixel, alpha) in clip.frames.as_chunks::<3>().0.iter().zip(&clip.alpha) {
+        if *alpha >= 25 {
+            head += 1;
+            blue += usize::from(i32::from(pixel[2]) > i32::from(pixel[0]) + 40);
+        }
+    }
+    blue as f64 / head.max(1) as f64
+}
+
+#[test]
+fn the_real_clip_becomes_a_head_with_landmarks() {
+    let Some(path) = real_clip() else { return };
+    let options = RealOptions { seconds: 1.0, start_seconds: 2.0, size: 192, ..RealOptions::default() };
+    let mut steps = Vec::new();
+    let recording = load_real(&path, &options, &mut |said| {
+        steps.push(said.step);
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    let RealRecording { clip, observations, .. } = &recording;
+    assert_eq!((clip.len(), clip.width, clip.label.as_str()), (24, 192, "input"));
+    assert!((clip.times_seconds[0] - 2.0).abs() < 1e-6, "times are the recording's own");
+    assert!(steps.is_sorted() && steps.last() == Some(&48));
+    assert!((0..24).all(|frame| observations.has_face(frame)));
+    for frame in 0..24 {
+        let landmarks: Vec<Landmark> = observations.frame(frame).collect();
+        let [top, chin] = [10, 152].map(|i: usize| landmarks[i].position_px);
+        let height = chin[1] - top[1];
+        assert!((0.35..0.55).contains(&(height / 192.0)), "face height {height}");
+        let alpha = |x: f32, y: f32| clip.frame_alpha(frame)[y as usize * 192 + x as usize];
+        assert_eq!(alpha(landmarks[1].position_px[0], landmarks[1].position_px[1]), 255, "the nose is the person");
+        assert_eq!((alpha(2.0, 100.0), alpha(189.0, 100.0)), (0, 0), "the wall is not");
+    }
+    let share = blue_rim(clip);
+    assert!(share < 0.004, "{:.2} % of the head is wall", 100.0 * share);
+    look(&recording);
+}
+
+#[test]
+fn the_answer_is_the_same_with_one_thread() {
+    let Some(path) = real_clip() else { return };
+    let options = RealOptions { seconds: 0.2, size: 64, ..RealOptions::default() };
+    let all = load_real(&path, &options, &mut go).unwrap();
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert_eq!(one.install(|| load_real(&path, &options, &mut go).unwrap()), all);
+}
+
+#[test]
+fn what_cannot_work_is_said() {
+    let wrong = RealOptions { size: 3, ..RealOptions::default() };
+    let path = Path::new("none.mp4");
+    assert!(matches!(load_real(path, &wrong, &mut go), Err(CaptureError::Option { name: "size", .. })));
+    let wrong = RealOptions { seconds: f64::NAN, ..RealOptions::default() };
+    assert!(matches!(load_real(path, &wrong, &mut go), Err(CaptureError::Option { name: "seconds", .. })));
+    let Some(clip) = real_clip() else { return };
+    let missing = load_real(path, &RealOptions::default(), &mut go);
+    assert!(matches!(missing, Err(CaptureError::Video(VideoError::Missing { .. }))));
+    let stopped = load_real(&clip, &RealOptions::default(), &mut |_| ControlFlow::Break(()));
+    assert!(matches!(stopped, Err(CaptureError::Cancelled)));
+    let folder = tempfile::tempdir().unwrap();
+    let file = std::fs::File::create(folder.path().join("0.png")).unwrap();
+    let mut encoder = png::Encoder::new(file, 64, 64);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.write_header().unwrap().write_image_data(&[90; 64 * 64 * 3]).unwrap();
+    let faceless = load_real(folder.path(), &RealOptions::default(), &mut go);
+    assert!(matches!(faceless, Err(CaptureError::NoFace { frames: 1, .. })));
+}
+
+/// Writes the sheet asked for by `HEARTIAN_LOOK`.
+fn look(recording: &RealRecording) {
+    let Some(path) = std::env::var_os("HEARTIAN_LOOK") else { return };
+    let RealRecording { clip, observations, .. } = recording;
+    let size = clip.width;
+    let picks: Vec<usize> = (0..4).map(|k| k * (clip.len() - 1) / 3).collect();
+    let mut sheet = Rgb8Image::filled(size * picks.len(), size * 4, [0; 3]);
+    for (column, &frame) in picks.iter().enumerate() {
+        let mut picture = Rgb8Image { width: size, height: size, data: clip.frame(frame).to_vec() };
+        for (row, ground) in [(1, [0.0f32; 3]), (2, [255.0, 0.0, 255.0]), (3, [255.0; 3])] {
+            let mut over = picture.clone();
+            for (i, alpha) in clip.frame_alpha(frame).iter().enumerate() {
+                let a = f32::from(*alpha) / 255.0;
+                (0..3).for_each(|c| {
+                    over.data[3 * i + c] = (a * f32::from(over.data[3 * i + c]) + (1.0 - a) * ground[c]) as u8
+                });
+            }
+            sheet.paste(&over, column * size, row * size);
+        }
+        for landmark in observations.frame(frame) {
+            let [x, y] = landmark.position_px;
+            picture.set_pixel(x.max(0.0) as usize, y.max(0.0) as usize, [0, 255, 0]);
+        }
+        sheet.paste(&picture, column * size, 0);
+    }
+    let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), sheet.width as u32, sheet.height as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.write_header().unwrap().write_image_data(&sheet.data).unwrap();
+}
