@@ -13,6 +13,8 @@ mod matting;
 mod op;
 mod parse;
 mod sampling;
+#[cfg(test)]
+mod tests;
 
 pub use detector::{Detection, Detector};
 pub use follow::{FaceFollower, FaceLandmarks, LandmarkNet, Roi};
