@@ -99,6 +99,7 @@ impl Artifact for Avatar {
         bundle
             .tensor("motion.matrix", &[self.motion.modes(), width], &self.motion.matrix)?
             .tensor("motion.origin", &[width], &self.motion.origin)?
+            .tensor("motion.range", &[self.motion.range.len(), 2], self.motion.range.as_flattened())?
             .tensor("times_seconds", &[self.times_seconds.len()], &self.times_seconds)?
             .meta("motion.joints", &self.motion.rig.joints)?
             .meta("motion.expression_count", &self.motion.expression_count)?
@@ -123,14 +124,12 @@ impl Artifact for Avatar {
             expression_count: reader.meta("motion.expression_count")?,
             matrix: reader.tensor("motion.matrix")?.1,
             origin: reader.tensor("motion.origin")?.1,
+            range: reader.shaped::<f32>("motion.range", &[None, Some(2)])?.as_chunks::<2>().0.to_vec(),
         };
         let poses: Vec<[f64; POSE_SIZE]> = reader.meta("states.poses")?;
         let coefficients: Vec<Vec<f32>> = reader.meta("states.coefficients")?;
-        let states = poses
-            .into_iter()
-            .zip(coefficients)
-            .map(|(pose, coefficients)| FrameState { pose, coefficients })
-            .collect();
+        let states =
+            poses.into_iter().zip(coefficients).map(|(pose, coefficients)| FrameState { pose, coefficients }).collect();
         let avatar = Self {
             canonical,
             motion,
@@ -153,11 +152,16 @@ impl Avatar {
         if let Some(index) = self.canonical.first_not_finite() {
             return Err(format!("Gaussian {index} has a value that is not finite"));
         }
-        if self.motion.origin.len() != self.motion.width() || self.motion.modes() != self.canonical.modes {
+        let modes = self.motion.modes();
+        let ordered = self.motion.range.len() == modes && self.motion.range.iter().all(|[least, most]| least <= most);
+        if self.motion.origin.len() != self.motion.width() || modes != self.canonical.modes || !ordered {
             return Err("its bases do not answer to its motion coefficients".into());
         }
         if self.environment.radiance.len() != RADIANCE_COEFFICIENTS {
-            return Err(format!("its light has {} coefficients, not {RADIANCE_COEFFICIENTS}", self.environment.radiance.len()));
+            return Err(format!(
+                "its light has {} coefficients, not {RADIANCE_COEFFICIENTS}",
+                self.environment.radiance.len()
+            ));
         }
         let modes = self.canonical.modes;
         let whole = self.states.len() == self.times_seconds.len()

@@ -20,6 +20,9 @@ const LEAST_DISPLACEMENT_METRES: f64 = 1e-5;
 /// Root-mean-square below which a driver is not excited, in the order of `EXTRA`: lids (of [0, 1]), radians, radians, metres.
 const LEAST_EXCITED: [f64; EXTRA] = [0.02, 0.02, 5e-3, 5e-3, 5e-3, 0.01, 0.01, 0.01, 2e-3, 2e-3, 2e-3];
 
+/// How far beyond the range of the training frames a coefficient may go, relative to that range.
+const RANGE_MARGIN: f32 = 0.05;
+
 /// The affine map from a tracked pose to motion coefficients, and the skeleton.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionModel {
@@ -31,6 +34,9 @@ pub struct MotionModel {
     pub matrix: Vec<f32>,
     /// `E + 11`: the tracked numbers at which every coefficient is 0.
     pub origin: Vec<f32>,
+    /// `K × 2`: least and largest value that each coefficient may take. What was learned of a coefficient holds in the
+    /// range the training frames covered; beyond it a basis would only extrapolate.
+    pub range: Vec<[f32; 2]>,
 }
 
 /// A motion model with the displacement of every mesh vertex per coefficient.
@@ -67,7 +73,9 @@ impl MotionModel {
         let coefficients = self
             .matrix
             .chunks(self.width())
-            .map(|row| row.iter().zip(&raw).zip(&self.origin).map(|((m, r), o)| m * (r - o)).sum())
+            .map(|row| row.iter().zip(&raw).zip(&self.origin).map(|((m, r), o)| m * (r - o)).sum::<f32>())
+            .zip(&self.range)
+            .map(|(value, [least, most])| value.clamp(*least, *most))
             .collect();
         FrameState { pose: pose_of(frame), coefficients }
     }
@@ -91,8 +99,13 @@ impl MotionModel {
             training.iter().map(|&t| tracked_numbers(&track.frames[t], expression_count)).collect();
         let width = expression_count + EXTRA;
         let vertices = head.vertices.len();
-        let mut model =
-            MotionModel { rig: Rig { joints }, expression_count, matrix: Vec::new(), origin: vec![0.0; width] };
+        let mut model = MotionModel {
+            rig: Rig { joints },
+            expression_count,
+            matrix: Vec::new(),
+            origin: vec![0.0; width],
+            range: Vec::new(),
+        };
         let mut basis = Basis::default();
         for (row, field) in expression_modes(&head.expression, &raw, most) {
             model.matrix.extend(row.iter().map(|v| *v as f32).chain([0.0; EXTRA]));
@@ -119,6 +132,14 @@ impl MotionModel {
                 basis.data.resize(basis.data.len() + 3 * vertices, 0.0);
             }
             basis.count += 1;
+        }
+        model.range = vec![[f32::NEG_INFINITY, f32::INFINITY]; basis.count];
+        let states: Vec<FrameState> = training.iter().map(|&frame| model.state(&track.frames[frame])).collect();
+        for (mode, range) in model.range.iter_mut().enumerate() {
+            let values = || states.iter().map(|state| state.coefficients[mode]);
+            let (least, most) = (values().fold(f32::INFINITY, f32::min), values().fold(f32::NEG_INFINITY, f32::max));
+            let margin = RANGE_MARGIN * (most - least);
+            *range = [least - margin, most + margin];
         }
         Ok(FittedMotion { model, basis })
     }
@@ -277,7 +298,7 @@ mod tests {
         // Two expression modes, two lids, one jaw angle, one rotation angle.
         assert_eq!(model.modes(), 6);
         assert_eq!(basis.data.len(), 6 * 40 * 3);
-        for pose in &track.frames {
+        for pose in &track.frames[..40] {
             let state = model.state(pose);
             let mut moved = head.vertices.clone();
             basis.add_to(&state.coefficients, &mut moved);
@@ -291,6 +312,8 @@ mod tests {
         }
         let mean_square: f32 = training.iter().map(|&t| model.state(&track.frames[t]).coefficients[0].powi(2)).sum();
         assert!((mean_square / 40.0 - 1.0).abs() < 1e-3, "unit coefficients");
+        let wild = FramePose { expression: vec![50.0; 6], ..track.frames[0].clone() };
+        assert!(model.state(&wild).coefficients[0].abs() < 3.0, "held in the range of the training frames");
         Ok(())
     }
 

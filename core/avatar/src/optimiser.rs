@@ -44,7 +44,6 @@ impl Rates {
     pub fn scaled(self, factor: f32) -> Self {
         Self(self.0.map(|rate| rate * factor))
     }
-
 }
 
 /// Moments of every parameter.

@@ -59,8 +59,7 @@ pub(crate) fn render_states(
         .par_iter()
         .enumerate()
         .map(|(index, state)| {
-            let mut scene =
-                Scene::new(&avatar.canonical, &avatar.motion.motion(state), &camera, Features::Materials);
+            let mut scene = Scene::new(&avatar.canonical, &avatar.motion.motion(state), &camera, Features::Materials);
             if let Some(modulation) = options.modulation {
                 scene.add_green(GreenOffsets { gaussians: &modulation.gaussians, offsets: modulation.frame(index) });
             }
@@ -86,9 +85,7 @@ fn check_modulation(avatar: &Avatar, frames: usize, options: &RenderOptions<'_>)
     }
     match modulation.gaussians.iter().find(|&&index| index as usize >= avatar.len()) {
         None => Ok(()),
-        Some(&index) => {
-            Err(AvatarError::Index { what: "the modulation", index: index as usize, count: avatar.len() })
-        }
+        Some(&index) => Err(AvatarError::Index { what: "the modulation", index: index as usize, count: avatar.len() }),
     }
 }
 

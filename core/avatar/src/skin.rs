@@ -207,7 +207,11 @@ mod tests {
     fn the_closest_point_is_no_farther_than_any_sampled_one() {
         let corners = [Vec3::new(0.0, 0.0, 0.0), Vec3::new(1.0, 0.2, 0.1), Vec3::new(0.3, 0.9, -0.2)];
         for i in 0..200 {
-            let p = Vec3::new((i * 37 % 41) as f32 / 15.0 - 1.0, (i * 17 % 43) as f32 / 15.0 - 1.0, (i % 7) as f32 / 4.0 - 0.8);
+            let p = Vec3::new(
+                (i * 37 % 41) as f32 / 15.0 - 1.0,
+                (i * 17 % 43) as f32 / 15.0 - 1.0,
+                (i % 7) as f32 / 4.0 - 0.8,
+            );
             let closest = closest_on_triangle(p, corners);
             let mut least = f32::INFINITY;
             for u in 0..=60 {

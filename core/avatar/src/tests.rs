@@ -113,8 +113,7 @@ fn the_linear_map_predicts_the_modulated_render() -> Result<(), AvatarError> {
     let offsets: Vec<f32> = (0..skin.gaussians.len()).map(|i| 0.01 * ((i * 37 % 11) as f32 / 5.0 - 1.0)).collect();
     let frame = 3;
     let state = &avatar.states[operator.frames[frame] as usize];
-    let mut scene =
-        Scene::new(&avatar.canonical, &avatar.motion.motion(state), &avatar.camera, Features::Materials);
+    let mut scene = Scene::new(&avatar.canonical, &avatar.motion.motion(state), &avatar.camera, Features::Materials);
     scene.add_green(GreenOffsets { gaussians: &skin.gaussians, offsets: &offsets });
     let picture = scene.picture(&avatar.camera)?;
     let linear = heartian_splat::shade(&picture.frame, &avatar.camera, &avatar.environment)?;

@@ -244,23 +244,12 @@ impl<'a> Fit<'a> {
     }
 
     /// One frame.
-    fn step(
-        &mut self,
-        schedule: &Schedule,
-        step: u32,
-        frame: usize,
-        level: &Level,
-    ) -> Result<StepLoss, AvatarError> {
+    fn step(&mut self, schedule: &Schedule, step: u32, frame: usize, level: &Level) -> Result<StepLoss, AvatarError> {
         let target = level.target(self.clip, frame);
         let motion = self.model.motion(&self.refiner.state(frame));
         let mut gradient = Canonical::zeros(self.canonical.len(), self.canonical.modes);
-        let (loss, picture) = self.appearance.step(
-            &self.canonical,
-            &motion,
-            (level, schedule.decay(step)),
-            &target,
-            &mut gradient,
-        )?;
+        let (loss, picture) =
+            self.appearance.step(&self.canonical, &motion, (level, schedule.decay(step)), &target, &mut gradient)?;
         self.statistics.add(&picture.scene);
         if schedule.refines(step) {
             let state = self.refiner.state(frame);

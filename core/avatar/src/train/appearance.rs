@@ -82,7 +82,13 @@ impl Appearance {
         };
         let encoded = srgb_encode(&linear);
         let mut on_image = vec![0.0; encoded.len()];
-        photometric(&encoded, &target.rgb, [camera.width, camera.height], PhotometricWeights::default(), &mut on_image)?;
+        photometric(
+            &encoded,
+            &target.rgb,
+            [camera.width, camera.height],
+            PhotometricWeights::default(),
+            &mut on_image,
+        )?;
         let squared_error = mean_squared_error(&encoded, &target.rgb);
         srgb_encode_backward(&linear, &mut on_image)?;
         let (planes, mut on_transmittance) = match &mut self.light {
@@ -113,6 +119,7 @@ impl Light {
 }
 
 fn mean_squared_error(image: &[f32], target: &[f32]) -> f64 {
-    let sum: f64 = image.iter().zip(target).map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b) * (a.clamp(0.0, 1.0) - b))).sum();
+    let sum: f64 =
+        image.iter().zip(target).map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b) * (a.clamp(0.0, 1.0) - b))).sum();
     sum / image.len().max(1) as f64
 }
