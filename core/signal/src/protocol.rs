@@ -21,6 +21,8 @@ pub enum Preset {
     Paper,
     /// rPPG-Toolbox's evaluation, bins and all.
     Toolbox,
+    /// rPPG-Toolbox's filter and band with bins of at most 0.1 bpm.
+    ToolboxFine,
 }
 
 impl Preset {
@@ -29,6 +31,7 @@ impl Preset {
         match self {
             Self::Paper => Protocol::PAPER,
             Self::Toolbox => Protocol::TOOLBOX,
+            Self::ToolboxFine => Protocol { resolution: Resolution::FINE, ..Protocol::TOOLBOX },
         }
     }
 }

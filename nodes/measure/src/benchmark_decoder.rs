@@ -15,9 +15,10 @@ params! {
         methods: Vec<ReadBy> = vec![ReadBy::Pos], choices(&["Pos", "Chrom", "Green", "Ica", "Lgi", "Pbv", "Omit"]);
         /// Which pixels count: each by its alpha, or the whole frame, as rPPG-Toolbox reads a face crop.
         pixels: Pixels = Pixels::Matte, choices(&["Frame", "Matte"]);
-        /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm) or rPPG-Toolbox's (0.6–3.3 Hz, next
-        /// power of two).
-        convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox"]);
+        /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm), rPPG-Toolbox's (0.6–3.3 Hz, next
+        /// power of two), or rPPG-Toolbox's with bins of at most 0.1 bpm.
+        /// POS band-passes by itself; the toolbox's wider band does not do it twice.
+        convention: Convention = Convention::ToolboxFine, choices(&["Paper", "Toolbox", "ToolboxFine"]);
     }
 }
 register!(BenchmarkDecoder);

@@ -13,6 +13,8 @@ pub enum Convention {
     Paper,
     /// rPPG-Toolbox's, with its coarser bins.
     Toolbox,
+    /// rPPG-Toolbox's band with bins of at most 0.1 bpm.
+    ToolboxFine,
 }
 
 /// Which pixels count.
@@ -49,6 +51,7 @@ impl Convention {
         match self {
             Self::Paper => Preset::Paper,
             Self::Toolbox => Preset::Toolbox,
+            Self::ToolboxFine => Preset::ToolboxFine,
         }
     }
 }

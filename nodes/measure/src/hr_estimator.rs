@@ -10,9 +10,9 @@ params! {
     /// Reads the heart rate from the mean modulated green albedo of the skin Gaussians, beside the reference trace's:
     /// smoothness-prior detrending, first-order zero-phase Butterworth band-pass, strongest bin of the spectrum.
     pub struct HrEstimator {
-        /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm) or rPPG-Toolbox's (0.6–3.3 Hz, next
-        /// power of two).
-        convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox"]);
+        /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm), rPPG-Toolbox's (0.6–3.3 Hz, next
+        /// power of two), or rPPG-Toolbox's with bins of at most 0.1 bpm.
+        convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox", "ToolboxFine"]);
     }
 }
 register!(HrEstimator);
