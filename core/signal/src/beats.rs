@@ -86,7 +86,8 @@ impl Beats {
     }
 }
 
-/// Finds the systolic peaks of a PPG sampled evenly at `rate_hertz` (5 Hz or more; 7 is enough for 180 bpm).
+/// Finds the systolic peaks of a PPG sampled evenly at `rate_hertz`: 5 Hz or more, and at least four samples a beat, lest
+/// the second harmonic alias onto slower rates (7 Hz is enough for 105 bpm and often for 140).
 ///
 /// # Errors
 /// When the signal is empty, not finite, flat, shorter than two seconds or than the filters need, the rate or an option

@@ -17,8 +17,8 @@ pub enum SignalError {
         /// Samples given.
         found: usize,
     },
-    /// A sample is NaN or infinite.
-    #[error("{what}: sample {index} is {value}; remove or interpolate it first")]
+    /// A sample is NaN, infinite or so large (beyond 1e100) that its square is.
+    #[error("{what}: sample {index} is {value}, not a usable number; remove or interpolate it first")]
     NotFinite {
         /// The signal.
         what: &'static str,
@@ -113,12 +113,15 @@ pub enum SignalError {
 /// Shorthand of this crate.
 pub type Result<T> = std::result::Result<T, SignalError>;
 
-/// Refuses an empty signal and any sample that is not finite.
+/// Largest magnitude of a sample: squares and their sums stay finite.
+const LARGEST: f64 = 1e100;
+
+/// Refuses an empty signal and any sample that is not finite or beyond [`LARGEST`].
 pub(crate) fn check_finite(what: &'static str, signal: &[f64]) -> Result<()> {
     if signal.is_empty() {
         return Err(SignalError::Empty(what));
     }
-    match signal.iter().position(|value| !value.is_finite()) {
+    match signal.iter().position(|value| value.is_nan() || value.abs() > LARGEST) {
         Some(index) => Err(SignalError::NotFinite { what, index, value: signal[index] }),
         None => Ok(()),
     }

@@ -1,7 +1,8 @@
 //! Real contact PPG: heart rates and beats of three recordings, at the rates that clips are filmed at.
 //!
 //! The files are `ppg_*.csv` of `../shared/data` beside the repository (or `$HEARTIAN_DATA`); without them the tests say
-//! "skipped" and pass. The bounds on beat rates come from another program's published results for the same files.
+//! "skipped" and pass. Beat rates are held against another program's: HeartPy 1.2.7 with its defaults, run on these files,
+//! gives 58.90, 62.37 and 98.38 bpm (and rejects 26 of its 110 peaks of the noisy one).
 
 use std::path::{Path, PathBuf};
 
@@ -75,8 +76,10 @@ fn every_beat_of_the_clean_recording_is_found_whichever_way_up() -> Outcome<()> 
 
 #[test]
 fn artefacts_neither_add_beats_nor_lose_them() -> Outcome<()> {
-    // HeartPy 1.2.7 gives 62.4 bpm for the noisy file after rejecting peaks; counting maxima gives 94.
-    for (name, bpm, slack) in [("ppg_noisy_117hz.csv", 62.4, 1.5), ("ppg_wrist_100hz.csv", 98.5, 0.5)] {
+    // Counting maxima gives 94 bpm for the noisy recording.
+    let peer =
+        [("ppg_clean_100hz.csv", 58.9, 0.1), ("ppg_noisy_117hz.csv", 62.4, 1.2), ("ppg_wrist_100hz.csv", 98.4, 0.2)];
+    for (name, bpm, slack) in peer {
         let Some(series) = recording(name)? else { return Ok(()) };
         for rate in RATES {
             let found = beats(&at_rate(&series, rate)?, rate)?;

@@ -1,4 +1,4 @@
-//! Makes a raw PPG fit for a peak search: outliers limited, band-passed 0.5–8 Hz, local amplitude evened out, at ≥ 50 Hz.
+//! Makes a raw PPG fit for a peak search: outliers bridged, band-passed 0.5–8 Hz, local amplitude evened out, at ≥ 50 Hz.
 
 use crate::error::{Result, SignalError};
 use crate::filter::{Band, Butterworth};
@@ -25,9 +25,9 @@ pub(super) struct Pulse {
 /// Conditions a raw PPG.
 pub(super) fn condition(signal: &[f64], rate_hertz: f64) -> Result<Pulse> {
     let largest = signal.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    let limited = limit_outliers(signal, rate_hertz);
+    let plain = without_outliers(signal, rate_hertz);
     let band = Band { high_hertz: SHAPE_BAND.high_hertz.min(0.45 * rate_hertz), ..SHAPE_BAND };
-    let filtered = Butterworth::bandpass(2, band, rate_hertz)?.filtfilt(&limited)?;
+    let filtered = Butterworth::bandpass(2, band, rate_hertz)?.filtfilt(&plain)?;
     if standard_deviation(&filtered) <= 1e-12 * largest {
         return Err(SignalError::Flat("the PPG"));
     }
@@ -35,12 +35,13 @@ pub(super) fn condition(signal: &[f64], rate_hertz: f64) -> Result<Pulse> {
     Ok(Pulse { values: even_gain(&dense, rate_hertz), rate_hertz })
 }
 
-/// Clamps samples to the local 5–95 % range extended by itself on both sides: spikes go, peaky pulses stay.
-fn limit_outliers(signal: &[f64], rate_hertz: f64) -> Vec<f64> {
+/// Replaces samples beyond the local 5–95 % range extended by itself on both sides by a line between their neighbours:
+/// spikes go, peaky pulses stay.
+fn without_outliers(signal: &[f64], rate_hertz: f64) -> Vec<f64> {
     let n = signal.len();
     let window = ((LIMIT_SECONDS * rate_hertz) as usize).clamp(1, n);
     let hop = (window / 3).max(1);
-    let mut limited = Vec::with_capacity(n);
+    let mut kept = Vec::with_capacity(n);
     let mut scratch = Vec::with_capacity(window);
     for start in (0..n).step_by(hop) {
         let from = (start + hop / 2).saturating_sub(window / 2).min(n - window);
@@ -50,10 +51,21 @@ fn limit_outliers(signal: &[f64], rate_hertz: f64) -> Vec<f64> {
         let low = *scratch.select_nth_unstable_by(at_low, f64::total_cmp).1;
         let high = *scratch.select_nth_unstable_by(at_high, f64::total_cmp).1;
         let range = high - low;
-        let end = (start + hop).min(n);
-        limited.extend(signal[start..end].iter().map(|value| value.clamp(low - range, high + range)));
+        let inside = |index: &usize| (low - range..=high + range).contains(&signal[*index]);
+        kept.extend((start..(start + hop).min(n)).filter(inside));
     }
-    limited
+    let mut result = signal.to_vec();
+    for pair in kept.windows(2).filter(|pair| pair[1] > pair[0] + 1) {
+        let (left, right, gap) = (signal[pair[0]], signal[pair[1]], (pair[1] - pair[0]) as f64);
+        for (step, value) in (1..).zip(&mut result[pair[0] + 1..pair[1]]) {
+            *value = left + f64::from(step) / gap * (right - left);
+        }
+    }
+    if let (Some(&first), Some(&last)) = (kept.first(), kept.last()) {
+        result[..first].fill(signal[first]);
+        result[last + 1..].fill(signal[last]);
+    }
+    result
 }
 
 /// Interpolates to at least the search rate by a Hann-windowed sinc over the oddly extended signal.

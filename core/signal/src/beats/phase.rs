@@ -17,7 +17,7 @@ pub struct BeatPhase {
 impl BeatPhase {
     /// Number of beats touched, at least 1.
     pub fn beat_count(&self) -> usize {
-        self.beat_index.last().map_or(0, |last| last + 1)
+        self.beat_index.last().map_or(0, |last| last.saturating_add(1))
     }
 }
 

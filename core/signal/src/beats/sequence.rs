@@ -16,6 +16,8 @@ const LOST_PERIODS: f64 = 4.5;
 /// Gap in periods from which beats are filled in: a compensatory pause after an ectopic beat (≤ 1.5) is left alone.
 const FILL_PERIODS: f64 = 1.65;
 
+/// Rise, against the typical one, from which a maximum counts as a beat that the signal shows.
+const PLAIN: f64 = 0.3;
 /// Likeness of consecutive beats below which a stretch has no clear rhythm.
 const CLEAR: f64 = 0.3;
 
@@ -31,6 +33,7 @@ fn interval_cost(interval: f64, period: f64) -> f64 {
 }
 
 /// Picks the sequence with the largest sum of scores less costs.
+/// Of it, only what plainly rises is returned: a bump that bridged a gap is left to [`fill`].
 pub(super) fn choose(candidates: &[Candidate], periods: &Periods) -> Vec<f64> {
     let mut total: Vec<f64> = Vec::with_capacity(candidates.len());
     let mut previous: Vec<Option<usize>> = Vec::with_capacity(candidates.len());
@@ -62,7 +65,9 @@ pub(super) fn choose(candidates: &[Candidate], periods: &Periods) -> Vec<f64> {
     let mut at = (0..candidates.len()).max_by(|&a, &b| finished(a).total_cmp(&finished(b)));
     let mut chosen = Vec::new();
     while let Some(index) = at {
-        chosen.push(candidates[index].seconds);
+        if candidates[index].score >= PLAIN {
+            chosen.push(candidates[index].seconds);
+        }
         at = previous[index];
     }
     chosen.reverse();

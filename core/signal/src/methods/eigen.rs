@@ -21,7 +21,7 @@ pub(super) fn symmetric<const N: usize>(matrix: [[f64; N]; N]) -> Eigen<N> {
         let mut rotated = false;
         for p in 0..N {
             for q in p + 1..N {
-                if a[p][q].abs() <= f64::EPSILON * 1e-3 * (a[p][p] * a[q][q]).abs().sqrt() {
+                if a[p][q].abs() <= f64::EPSILON * 1e-3 * a[p][p].abs().sqrt() * a[q][q].abs().sqrt() {
                     continue;
                 }
                 rotated = true;
