@@ -105,7 +105,7 @@ impl Motion {
         }
     }
 
-    /// World-from-head at a time, for a head that rests `distance_metres` before the camera.
+    /// World-from-head at a time, as rotation and translation, for a head that rests at `rest_translation`.
     pub(crate) fn head(&self, seconds: f64, rest_translation: Vec3) -> (Quat, Vec3) {
         let [yaw, pitch, roll]: [f64; 3] =
             std::array::from_fn(|axis| self.scale * SWAY_RADIANS[axis] * self.sway[axis].at(seconds));
@@ -286,6 +286,7 @@ fn smooth(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use heartian_face::HeadModel;
 
     #[test]
     fn motion_stays_within_its_bounds_and_is_smooth() {
@@ -319,6 +320,33 @@ mod tests {
         let (closed, silent, open) = (at(|g| g.lids > 0.5), at(|g| g.open < 0.01), at(|g| g.open > 0.4));
         assert!((0.005..0.08).contains(&closed), "{closed}");
         assert!((0.1..0.6).contains(&silent) && open > 0.1, "{silent} {open}");
+    }
+
+    /// The mode numbers are the built-in head's; should its order change, this says so.
+    #[test]
+    fn gestures_move_the_built_in_head_as_their_names_say() {
+        let head = HeadModel::procedural();
+        let landmark = |gesture: Gesture, index: u32| {
+            let pose = FramePose {
+                expression: gesture.coefficients(head.expression.count),
+                ..FramePose::rest(head.expression.count)
+            };
+            let vertices = head.pose(&pose);
+            let anchor = head.landmarks.iter().find(|anchor| anchor.index == index);
+            anchor.map_or(Vec3::NAN, |anchor| Vec3::from_array(head.landmark_position(anchor, &vertices)))
+        };
+        let moved = |gesture: Gesture, index: u32| landmark(gesture, index) - landmark(Gesture::default(), index);
+        let (left_corner, upper_lip, lower_lip, inner_brow, outer_brow) = (291, 0, 17, 336, 293);
+        let least = 1e-3;
+        assert!(moved(Gesture { spread: 1.0, ..Gesture::default() }, left_corner).x > least);
+        assert!(moved(Gesture { smile: 1.0, ..Gesture::default() }, left_corner).y > least);
+        let pucker = Gesture { pucker: 1.0, ..Gesture::default() };
+        assert!(moved(pucker, left_corner).x < -least && moved(pucker, upper_lip).z > least);
+        let open = Gesture { open: 1.0, ..Gesture::default() };
+        assert!(moved(open, lower_lip).y < -least && moved(open, upper_lip).y > 0.5 * least);
+        let up = Gesture { brows: 1.0, ..Gesture::default() };
+        assert!(moved(up, inner_brow).y > least && moved(up, outer_brow).y > least);
+        assert!(moved(Gesture { brows: -0.3, ..Gesture::default() }, inner_brow).y < -0.5 * least);
     }
 
     #[test]

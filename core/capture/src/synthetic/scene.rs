@@ -85,7 +85,7 @@ impl Varying {
 }
 
 impl Scene {
-    /// Prepares a scene. `rest` is a pose with the mouth a little open, from which shadows are computed, so that what
+    /// Prepares a scene of a head whose identity is baked in. Shadows are those of a mouth a little open, so that what
     /// lies behind the lips is dark but not black.
     pub(crate) fn new(head: HeadModel, materials: Materials, lighting: Lighting, camera: Camera, seed: u64) -> Self {
         let opened = FramePose { jaw: [0.12, 0.0, 0.0], ..FramePose::rest(head.expression.count) };
