@@ -146,7 +146,7 @@ fn warm_waveform(phase: &[f64], target: &WaveformTarget, options: &PhaseOptions)
 /// Adam over all groups with the paper's rates; the decays are laid onto the number of steps taken.
 fn descend(objective: &Objective<'_>, variables: &mut Variables, progress: Watch<'_>) -> Result<Losses, PulseError> {
     let options = objective.options;
-    let steps = options.steps;
+    let steps = options.steps_for(variables.phase.len());
     let mut increments = Adam::new(variables.phase.raw.len());
     let (mut initial, mut shape, mut scale) = (Adam::new(1), Adam::new(6), Adam::new(1));
     // Adam's first steps move every increment by the full rate; over T frames that adds up to T times as much phase.
@@ -207,7 +207,7 @@ fn finish(
     let scale = strength / extent.max(1e-9);
     let level = if options.centred { mean(&shape) } else { 0.0 };
     let report = FitReport {
-        steps: u64::from(options.steps),
+        steps: u64::from(options.steps_for(reference.len())),
         phase_loss: losses.phase,
         pos_loss: losses.pos,
         mse: losses.mse,

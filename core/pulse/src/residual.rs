@@ -7,8 +7,10 @@
 
 mod kernel;
 pub mod matrix;
+mod tables;
 
-pub use kernel::{Frames, Gradient, Positions};
+pub use kernel::{Activations, Gradient};
+pub use tables::{Frames, Positions};
 
 use crate::error::PulseError;
 use crate::numeric::Random;

@@ -180,15 +180,17 @@ impl Training<'_> {
             let points: Vec<[f32; 3]> = drawn.iter().map(|&gaussian| self.positions[gaussian]).collect();
             let frames = network.frames(&self.pulse.theta, &self.pulse.beat);
             let positions = network.positions(&points);
-            let out = network.forward(&frames, &positions);
-            let (pulled, to_b, pearson) = self.losses(&out, residual_weight[0])?;
-            let gradient = network.backward(&frames, &positions, &pulled);
+            let (out, kept) = network.forward_kept(&frames, &positions);
+            let out: Vec<f64> = out.into_iter().map(f64::from).collect();
+            let losses = self.losses(&out, residual_weight[0])?;
+            let pulled: Vec<f32> = losses.to_outputs.iter().map(|&g| g as f32).collect();
+            let gradient = network.backward(&frames, &positions, &kept, &pulled);
             let at = f64::from(step) / f64::from(options.steps);
             adam.step(&mut network.weights, &gradient, options.rate.at(at));
-            adam_b.step(&mut residual_weight, &[to_b], |_| options.residual_weight_rate);
+            adam_b.step(&mut residual_weight, &[losses.to_residual_weight], |_| options.residual_weight_rate);
             residual_weight[0] = residual_weight[0].max(1e-3);
             if step % 20 == 0 || step + 1 == options.steps {
-                let metric = Some(("waveform_pearson", pearson));
+                let metric = Some(("waveform_pearson", 1.0 - losses.pearson));
                 let report = Progress { step: u64::from(step + 1), total: u64::from(options.steps), metric };
                 if progress(report).is_break() {
                     return Err(PulseError::Cancelled);
@@ -198,36 +200,116 @@ impl Training<'_> {
         Ok((network, residual_weight[0]))
     }
 
-    /// ∂L/∂f (T×patches), ∂L/∂B and the correlation, given the drawn outputs.
-    fn losses(&self, out: &[f32], residual_weight: f64) -> Result<(Vec<f32>, f64, f64), PulseError> {
+    /// The losses on the full modulation, given the drawn outputs f (T×patches) and B.
+    fn losses(&self, out: &[f64], residual_weight: f64) -> Result<Losses, PulseError> {
         let (count, share) = (self.patches.len(), &self.patches.share);
-        let averages: Vec<f64> = out
-            .chunks_exact(count)
-            .map(|frame| frame.iter().zip(share).map(|(&f, share)| f64::from(f) * share).sum())
-            .collect();
+        let averages: Vec<f64> =
+            out.chunks_exact(count).map(|frame| frame.iter().zip(share).map(|(f, share)| f * share).sum()).collect();
         let full: Vec<f64> = self.shape.iter().zip(&averages).map(|(u, f)| u + residual_weight * f).collect();
         let loss = self.target.loss(&full, &self.options.weights)?;
-        let mut pulled: Vec<f64> =
-            loss.gradient.iter().flat_map(|g| share.iter().map(move |share| g * share * residual_weight)).collect();
-        let mut to_b = loss.gradient.iter().zip(&averages).map(|(g, f)| g * f).sum::<f64>();
-        if let Some(render) = self.render.as_ref().filter(|_| self.options.weights.base > 0.0) {
-            let strength = &self.pulse.strength;
-            let centre = mean(&averages);
-            let level = strength.level + if strength.level > 0.0 { residual_weight * centre } else { 0.0 };
-            let offset = |(u, f): (&f64, &f32)| strength.scale * (u - level + residual_weight * f64::from(*f));
-            let offsets: Vec<f64> = self
-                .shape
-                .iter()
-                .zip(out.chunks_exact(count))
-                .flat_map(|(u, frame)| frame.iter().map(move |f| offset((u, f))))
-                .collect();
-            let mut to_offsets = vec![0.0; offsets.len()];
-            render.loss(&offsets, self.options.weights.base, &mut to_offsets);
-            for ((pulled, to_offset), f) in pulled.iter_mut().zip(&to_offsets).zip(out) {
-                *pulled += to_offset * strength.scale * residual_weight;
-                to_b += to_offset * strength.scale * f64::from(*f);
+        let weights = &self.options.weights;
+        let mut losses = Losses {
+            pearson: loss.pearson,
+            total: weights.mse * loss.mse + weights.pearson * loss.pearson,
+            to_outputs: loss.gradient.iter().flat_map(|g| share.iter().map(move |s| g * s * residual_weight)).collect(),
+            to_residual_weight: loss.gradient.iter().zip(&averages).map(|(g, f)| g * f).sum::<f64>(),
+        };
+        if let Some(render) = self.render.as_ref().filter(|_| weights.base > 0.0) {
+            self.add_render_loss(render, (out, residual_weight), &mut losses);
+        }
+        Ok(losses)
+    }
+
+    /// L_base on offsets A·(u − level + B·(f − mean of f)), the mean over time only when centred.
+    fn add_render_loss(&self, render: &RenderLoss, (out, residual_weight): (&[f64], f64), losses: &mut Losses) {
+        let (count, strength) = (self.patches.len(), &self.pulse.strength);
+        let centred = strength.level != 0.0;
+        let means = |table: &[f64]| if centred { column_means(table, count) } else { vec![0.0; count] };
+        let middle = means(out);
+        let mut offsets = Vec::with_capacity(out.len());
+        for (u, frame) in self.shape.iter().zip(out.chunks_exact(count)) {
+            let offset = |(f, mean): (&f64, &f64)| strength.scale * (u - strength.level + residual_weight * (f - mean));
+            offsets.extend(frame.iter().zip(&middle).map(offset));
+        }
+        let mut to_offsets = vec![0.0; offsets.len()];
+        losses.total += self.options.weights.base * render.loss(&offsets, self.options.weights.base, &mut to_offsets);
+        let pulled_middle = means(&to_offsets);
+        let rows = losses.to_outputs.chunks_exact_mut(count).zip(to_offsets.chunks_exact(count));
+        for ((to_outputs, to_offsets), out) in rows.zip(out.chunks_exact(count)) {
+            for k in 0..count {
+                to_outputs[k] += strength.scale * residual_weight * (to_offsets[k] - pulled_middle[k]);
+                losses.to_residual_weight += strength.scale * to_offsets[k] * (out[k] - middle[k]);
             }
         }
-        Ok((pulled.into_iter().map(|g| g as f32).collect(), to_b, 1.0 - loss.pearson))
+    }
+}
+
+/// The total loss of one step and where it pulls.
+struct Losses {
+    pearson: f64,
+    total: f64,
+    /// ∂L/∂f, T×patches.
+    to_outputs: Vec<f64>,
+    /// ∂L/∂B.
+    to_residual_weight: f64,
+}
+
+fn column_means(table: &[f64], count: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; count];
+    for row in table.chunks_exact(count) {
+        sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+    }
+    let rows = (table.len() / count).max(1) as f64;
+    sums.into_iter().map(|sum| sum / rows).collect()
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::fit::{PhaseOptions, Scene, fit_phase};
+    use crate::reference::Prescription;
+    use crate::render_loss::tests::made_up_operator;
+
+    #[test]
+    fn the_gradient_of_the_full_path_matches_finite_differences() {
+        let times: Vec<f64> = (0..60).map(|t| f64::from(t) / 30.0).collect();
+        let reference = Prescription { heart_rate_bpm: 80.0, ..Prescription::default() }.reference(&times).unwrap();
+        for centred in [true, false] {
+            let scene = Scene { mean_green_albedo: 0.3, ..Scene::default() };
+            let phase = PhaseOptions { steps: 20, centred, ..PhaseOptions::default() };
+            let onwards = &mut |_: Progress| std::ops::ControlFlow::Continue(());
+            let (pulse, _) = fit_phase(&reference, &scene, &phase, onwards).unwrap();
+            let mut random = Random::new(3);
+            let positions: Vec<[f32; 3]> = (0..6).map(|_| std::array::from_fn(|_| random.normal() as f32)).collect();
+            let patches = Patches::new(&positions, 3);
+            // L_base is small beside the others; weigh it up so that the check sees it.
+            let mut options = ResidualOptions::default();
+            options.weights.base = 300.0;
+            let shape = pulse.waveform.evaluate(&pulse.theta);
+            let training = Training {
+                pulse: &pulse,
+                shape: &shape,
+                target: WaveformTarget::new(&pulse.reference).unwrap(),
+                positions: &positions,
+                render: Some(RenderLoss::new(&made_up_operator(60, 10, 6, 2), &patches.patch_of, 3).unwrap()),
+                patches,
+                options: &options,
+            };
+            let out: Vec<f64> = (0..180).map(|_| 0.2 * random.normal()).collect();
+            let losses = training.losses(&out, 0.4).unwrap();
+            let h = 1e-6;
+            for k in 0..out.len() {
+                let (mut up, mut down) = (out.clone(), out.clone());
+                up[k] += h;
+                down[k] -= h;
+                let total = |out: &[f64]| training.losses(out, 0.4).unwrap().total;
+                let slope = (total(&up) - total(&down)) / (2.0 * h);
+                assert!((slope - losses.to_outputs[k]).abs() < 1e-7, "{k}: {slope} {}", losses.to_outputs[k]);
+            }
+            let total = |b: f64| training.losses(&out, b).unwrap().total;
+            let slope = (total(0.4 + h) - total(0.4 - h)) / (2.0 * h);
+            assert!((slope - losses.to_residual_weight).abs() < 1e-6, "{slope} {}", losses.to_residual_weight);
+        }
     }
 }

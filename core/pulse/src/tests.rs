@@ -1,6 +1,7 @@
 //! Whole fits: heart rates recovered, real and broken recordings, lengths, determinism, and what each setting costs.
 
 mod broken;
+mod picture;
 mod rates;
 mod recordings;
 mod strength;

@@ -1,4 +1,4 @@
-//! Settings of the phase fit: the paper's, and the default that reaches the same place in a thirtieth of the steps.
+//! Settings of the phase fit: the paper's, and the default that reaches the same place in a tenth of the steps.
 
 use crate::adam::Schedule;
 use crate::error::PulseError;
@@ -74,6 +74,8 @@ pub struct PhaseOptions {
     pub start: Start,
     /// Full-batch steps, each over all frames.
     pub steps: u32,
+    /// Frames × steps beyond which fewer steps are taken: a ten-minute clip holds more beats to learn one waveform from.
+    pub most_frame_steps: f64,
     /// Frames up to which the increments' rate is the paper's; a longer clip's shrinks in proportion.
     pub calm_frames: f64,
     /// Learning rates; decays run over the steps taken.
@@ -98,7 +100,8 @@ impl Default for PhaseOptions {
         Self {
             parameterization: Parameterization::Cumulative,
             start: Start::Beats,
-            steps: 2_000,
+            steps: 6_000,
+            most_frame_steps: 12e6,
             calm_frames: 100.0,
             rates: PhaseRates::default(),
             weights: LossWeights::default(),
@@ -118,10 +121,18 @@ impl PhaseOptions {
         Self {
             start: Start::MeanRate,
             steps: PAPER_STEPS,
+            most_frame_steps: f64::INFINITY,
             calm_frames: f64::INFINITY,
             centred: false,
             ..Self::default()
         }
+    }
+
+    /// Steps taken for a clip of that many frames.
+    pub fn steps_for(&self, frames: usize) -> u32 {
+        let most = (self.most_frame_steps / frames.max(1) as f64).max(1.0);
+        // A float beyond the range of integers becomes the largest one.
+        self.steps.min(most as u32)
     }
 
     /// Checks ranges.
@@ -139,6 +150,9 @@ impl PhaseOptions {
         }
         if !(self.most_levels > 0.0) {
             return refuse("most_levels", self.most_levels, "above 0 8-bit levels");
+        }
+        if !(self.most_frame_steps > 0.0) {
+            return refuse("most_frame_steps", self.most_frame_steps, "above 0");
         }
         if !(self.calm_frames > 0.0) {
             return refuse("calm_frames", self.calm_frames, "above 0");

@@ -1,60 +1,30 @@
 //! The network over all frames × positions at once, forward and backward (they are neighbours on purpose).
 //!
 //! With z = W_f·[e_φ, e_b] + b per frame and s = W_s·e_s per Gaussian, h₀ = z + s. So W₁h₀, W₂h₀ and w·h₀ split into a
-//! table per frame and a table per Gaussian, and only W₂·tanh(·) needs a product per (frame, Gaussian): 16k of the 68k
+//! table per frame and a table per Gaussian, and only W₂·tanh(·) needs a product per (frame, Gaussian): 16k of the 37k
 //! multiply-adds. The weight gradients of the separable parts are sums of per-frame and per-Gaussian sums for the same
 //! reason. Work is cut into tasks of whole frames by sizes alone, and partial sums are added in task order, so results
 //! do not depend on the number of threads.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
-use super::matrix::{Matrix, Real, add, add_row, add_scaled, dot, multiply};
-use super::{BEAT_FEATURES, FRAME_FEATURES, HARMONICS, POSITION_FEATURES, POSITION_HIDDEN, Residual, phase_features};
+use super::Residual;
+use super::matrix::{Matrix, Real, add, add_scaled, dot, multiply};
+use super::tables::{Frames, Positions, sum_rows};
 
 /// Rows (frame, Gaussian) handled at once: their activations stay in the second-level cache.
 const BLOCK_ROWS: usize = 256;
 /// Most tasks a pass is cut into; bounds the memory of partial gradients.
 const MOST_TASKS: usize = 32;
 
-/// What depends on the frame alone, T rows each.
-pub struct Frames<T> {
-    beat: Vec<usize>,
-    features: Vec<T>,
-    z: Vec<T>,
-    z1: Vec<T>,
-    z2: Vec<T>,
-    output: Vec<T>,
+/// The two hidden activations of some rows.
+struct Block<T> {
+    inner: Vec<T>,
+    outer: Vec<T>,
 }
 
-impl<T: Real> Frames<T> {
-    /// The tables of some frames only, in the order asked for.
-    pub(crate) fn picked(&self, frames: &[usize], width: usize) -> Self {
-        let rows = |table: &[T], columns: usize| -> Vec<T> {
-            frames.iter().flat_map(|&t| table[t * columns..(t + 1) * columns].iter().copied()).collect()
-        };
-        Self {
-            beat: frames.iter().map(|&t| self.beat[t]).collect(),
-            features: rows(&self.features, FRAME_FEATURES),
-            z: rows(&self.z, width),
-            z1: rows(&self.z1, width),
-            z2: rows(&self.z2, width),
-            output: rows(&self.output, 1),
-        }
-    }
-}
-
-/// What depends on the Gaussian alone, K rows each.
-pub struct Positions<T> {
-    points: Vec<T>,
-    hidden: Vec<T>,
-    features: Vec<T>,
-    s: Vec<T>,
-    s1: Vec<T>,
-    s2: Vec<T>,
-    output: Vec<T>,
-}
+/// What a forward pass keeps for the backward pass.
+pub struct Activations<T>(Block<T>);
 
 /// The gradient with respect to all weights, in their layout.
 pub type Gradient<T> = Vec<T>;
@@ -72,91 +42,53 @@ struct Partial<T> {
 }
 
 impl<T: Real> Residual<T> {
-    fn part(&self, range: &Range<usize>) -> &[T] {
-        &self.weights[range.clone()]
-    }
-
-    /// Tables of the frames: phase θ (radians) and beat index a frame; beats beyond the embedding share its last row.
-    pub fn frames(&self, theta: &[f64], beat: &[u32]) -> Frames<T> {
-        let (layout, w, count) = (self.shape.layout(), self.shape.width, theta.len());
-        let beat: Vec<usize> = beat.iter().map(|&b| (b as usize).min(self.shape.beats - 1)).collect();
-        let mut features = vec![T::default(); count * FRAME_FEATURES];
-        for ((row, &theta), &beat) in features.chunks_exact_mut(FRAME_FEATURES).zip(theta).zip(&beat) {
-            for (feature, value) in row.iter_mut().zip(phase_features(theta)) {
-                *feature = T::from_f64(value);
-            }
-            let at = layout.beat.start + beat * BEAT_FEATURES;
-            row[2 * HARMONICS..].copy_from_slice(&self.weights[at..at + BEAT_FEATURES]);
-        }
-        let mut z = vec![T::default(); count * w];
-        let input = Matrix::new(self.part(&layout.input_frame), FRAME_FEATURES);
-        multiply(&mut z, Matrix::new(&features, FRAME_FEATURES), input.transpose(), false);
-        add_row(&mut z, self.part(&layout.input_bias));
-        let through = |block: &[Range<usize>; 2]| {
-            let mut out = vec![T::default(); count * w];
-            multiply(&mut out, Matrix::new(&z, w), Matrix::new(self.part(&block[0]), w).transpose(), false);
-            add_row(&mut out, self.part(&block[1]));
-            out
-        };
-        let (z1, z2) = (through(&layout.block[0]), through(&layout.block[1]));
-        let bias = self.weights[layout.output_bias.start];
-        let output = z.chunks_exact(w).map(|row| dot(row, self.part(&layout.output)) + bias).collect();
-        Frames { beat, features, z, z1, z2, output }
-    }
-
-    /// Tables of the positions, normalised to [−1, 1]³.
-    pub fn positions(&self, points: &[[f32; 3]]) -> Positions<T> {
-        let (layout, w, count) = (self.shape.layout(), self.shape.width, points.len());
-        let points: Vec<T> = points.as_flattened().iter().map(|&p| T::from_f64(f64::from(p))).collect();
-        let mut hidden = vec![T::default(); count * POSITION_HIDDEN];
-        let first = Matrix::new(self.part(&layout.position1[0]), 3);
-        multiply(&mut hidden, Matrix::new(&points, 3), first.transpose(), false);
-        add_row(&mut hidden, self.part(&layout.position1[1]));
-        T::tanh(&mut hidden);
-        let mut features = vec![T::default(); count * POSITION_FEATURES];
-        let second = Matrix::new(self.part(&layout.position2[0]), POSITION_HIDDEN);
-        multiply(&mut features, Matrix::new(&hidden, POSITION_HIDDEN), second.transpose(), false);
-        add_row(&mut features, self.part(&layout.position2[1]));
-        let mut s = vec![T::default(); count * w];
-        let input = Matrix::new(self.part(&layout.input_position), POSITION_FEATURES);
-        multiply(&mut s, Matrix::new(&features, POSITION_FEATURES), input.transpose(), false);
-        let through = |block: &Range<usize>| {
-            let mut out = vec![T::default(); count * w];
-            multiply(&mut out, Matrix::new(&s, w), Matrix::new(self.part(block), w).transpose(), false);
-            out
-        };
-        let (s1, s2) = (through(&layout.block[0][0]), through(&layout.block[1][0]));
-        let output = s.chunks_exact(w).map(|row| dot(row, self.part(&layout.output))).collect();
-        Positions { points, hidden, features, s, s1, s2, output }
-    }
-
     /// f for every frame and position, T×K.
     pub fn forward(&self, frames: &Frames<T>, positions: &Positions<T>) -> Vec<T> {
-        let count = positions.output.len();
+        let (count, w) = (positions.output.len(), self.shape.width);
         let mut out = vec![T::default(); frames.output.len() * count];
-        let per_task = frames_per_task(frames.output.len(), count);
+        let (per_task, per_block) = (frames_per_task(frames.output.len(), count), frames_per_block(count));
         out.par_chunks_mut((per_task * count).max(1)).enumerate().for_each(|(task, out)| {
-            let mut scratch = Scratch::new(self.shape.width);
-            for (offset, out) in out.chunks_mut(frames_per_block(count) * count).enumerate() {
-                let first = task * per_task + offset * frames_per_block(count);
-                self.block_forward(frames, positions, first, &mut scratch, out);
+            let mut scratch = Block { inner: Vec::new(), outer: Vec::new() };
+            for (offset, out) in out.chunks_mut(per_block * count).enumerate() {
+                scratch.inner.resize(out.len() * w, T::default());
+                scratch.outer.resize(out.len() * w, T::default());
+                let first = task * per_task + offset * per_block;
+                self.block_forward(frames, positions, first, (&mut scratch.inner, &mut scratch.outer), out);
             }
         });
         out
     }
 
-    /// One block of whole frames from `first`: fills the activations and `out`.
+    /// As [`Self::forward`], keeping what [`Self::backward`] needs: 2·T·K·width numbers.
+    pub fn forward_kept(&self, frames: &Frames<T>, positions: &Positions<T>) -> (Vec<T>, Activations<T>) {
+        let (count, w) = (positions.output.len(), self.shape.width);
+        let mut out = vec![T::default(); frames.output.len() * count];
+        let mut kept =
+            Activations(Block { inner: vec![T::default(); out.len() * w], outer: vec![T::default(); out.len() * w] });
+        let (per_task, per_block) = (frames_per_task(frames.output.len(), count), frames_per_block(count));
+        let rows = (per_task * count).max(1);
+        let (inner, outer) = (kept.0.inner.par_chunks_mut(rows * w), kept.0.outer.par_chunks_mut(rows * w));
+        out.par_chunks_mut(rows).zip(inner).zip(outer).enumerate().for_each(|(task, ((out, inner), outer))| {
+            let rows = per_block * count;
+            let blocks = out.chunks_mut(rows).zip(inner.chunks_mut(rows * w)).zip(outer.chunks_mut(rows * w));
+            for (offset, ((out, inner), outer)) in blocks.enumerate() {
+                let first = task * per_task + offset * per_block;
+                self.block_forward(frames, positions, first, (inner, outer), out);
+            }
+        });
+        (out, kept)
+    }
+
+    /// One block of whole frames from `first`: fills the activations tanh(W₁h₀ + b₁), tanh(W₂h₁ + b₂) and `out`.
     fn block_forward(
         &self,
         frames: &Frames<T>,
         positions: &Positions<T>,
         first: usize,
-        scratch: &mut Scratch<T>,
+        (inner, outer): (&mut [T], &mut [T]),
         out: &mut [T],
     ) {
         let (layout, w, count) = (self.shape.layout(), self.shape.width, positions.output.len());
-        let size = out.len() * w;
-        let Scratch { inner, outer, .. } = scratch.resized(size);
         sum_tables(inner, &frames.z1[first * w..], &positions.s1, w, false);
         T::tanh(inner);
         multiply(outer, Matrix::new(inner, w), Matrix::new(self.part(&layout.block[1][0]), w).transpose(), false);
@@ -171,21 +103,27 @@ impl<T: Real> Residual<T> {
         }
     }
 
-    /// The gradient with respect to all weights given ∂L/∂f, T×K. Activations are computed again block by block:
-    /// cheaper than storing them.
-    pub fn backward(&self, frames: &Frames<T>, positions: &Positions<T>, pulled: &[T]) -> Gradient<T> {
-        let count = positions.output.len();
-        let per_task = frames_per_task(frames.output.len(), count);
+    /// The gradient with respect to all weights given ∂L/∂f, T×K, and what the forward pass kept.
+    pub fn backward(
+        &self,
+        frames: &Frames<T>,
+        positions: &Positions<T>,
+        kept: &Activations<T>,
+        pulled: &[T],
+    ) -> Gradient<T> {
+        let (count, w) = (positions.output.len(), self.shape.width);
+        let rows = (frames_per_task(frames.output.len(), count) * count).max(1);
+        let kept = kept.0.inner.par_chunks(rows * w).zip(kept.0.outer.par_chunks(rows * w));
         let partials: Vec<Partial<T>> = pulled
-            .par_chunks((per_task * count).max(1))
-            .enumerate()
-            .map(|(task, pulled)| self.task_backward(frames, positions, task * per_task, pulled))
+            .par_chunks(rows)
+            .zip(kept)
+            .map(|(pulled, (inner, outer))| self.task_backward(count, (inner, outer), pulled))
             .collect();
         self.gather(frames, positions, pulled, &partials)
     }
 
-    fn task_backward(&self, frames: &Frames<T>, positions: &Positions<T>, first: usize, pulled: &[T]) -> Partial<T> {
-        let (layout, w, count) = (self.shape.layout(), self.shape.width, positions.output.len());
+    fn task_backward(&self, count: usize, (inner, outer): (&[T], &[T]), pulled: &[T]) -> Partial<T> {
+        let (layout, w) = (self.shape.layout(), self.shape.width);
         let zeros = |n: usize| vec![T::default(); n];
         let task_frames = pulled.len() / count;
         let mut partial = Partial {
@@ -196,35 +134,32 @@ impl<T: Real> Residual<T> {
             place1: zeros(count * w),
             place2: zeros(count * w),
         };
-        let (weights, mut scratch, mut out) = (self.part(&layout.output), Scratch::new(w), Vec::new());
-        for (block, pulled) in pulled.chunks(frames_per_block(count) * count).enumerate() {
+        let weights = self.part(&layout.output);
+        let rows = frames_per_block(count) * count;
+        let (mut through2, mut through1) = (Vec::new(), Vec::new());
+        let blocks = pulled.chunks(rows).zip(inner.chunks(rows * w)).zip(outer.chunks(rows * w));
+        for (block, ((pulled, inner), outer)) in blocks.enumerate() {
             let start = block * frames_per_block(count);
-            out.resize(pulled.len(), T::default());
-            self.block_forward(frames, positions, first + start, &mut scratch, &mut out);
-            let Scratch { inner, outer, back } = scratch.resized(pulled.len() * w);
+            through2.resize(outer.len(), T::default());
+            through1.resize(outer.len(), T::default());
             for (row, &g) in pulled.iter().enumerate() {
                 let at = row * w..(row + 1) * w;
-                let (inner, outer, back) = (&inner[at.clone()], &mut outer[at.clone()], &mut back[at]);
+                let (inner, outer) = (&inner[at.clone()], &outer[at.clone()]);
+                let (through2, through1) = (&mut through2[at.clone()], &mut through1[at]);
                 for k in 0..w {
                     partial.output[k] += g * (inner[k] + outer[k]);
-                    back[k] = g * weights[k];
-                    outer[k] = back[k] * (T::ONE - outer[k] * outer[k]);
+                    through1[k] = g * weights[k];
+                    through2[k] = through1[k] * (T::ONE - outer[k] * outer[k]);
                 }
-                let frame = (start + row / count) * w;
-                add(&mut partial.frame2[frame..frame + w], outer);
-                add(&mut partial.place2[row % count * w..(row % count + 1) * w], outer);
+                add_to_tables((&mut partial.frame2, &mut partial.place2), start, (row, count), through2);
             }
-            multiply(&mut partial.block2, Matrix::new(outer, w).transpose(), Matrix::new(inner, w), true);
-            multiply(back, Matrix::new(outer, w), Matrix::new(self.part(&layout.block[1][0]), w), true);
-            for row in 0..pulled.len() {
-                let at = row * w..(row + 1) * w;
-                let (inner, back) = (&inner[at.clone()], &mut back[at]);
-                for k in 0..w {
-                    back[k] = back[k] * (T::ONE - inner[k] * inner[k]);
+            multiply(&mut partial.block2, Matrix::new(&through2, w).transpose(), Matrix::new(inner, w), true);
+            multiply(&mut through1, Matrix::new(&through2, w), Matrix::new(self.part(&layout.block[1][0]), w), true);
+            for (row, through1) in through1.chunks_exact_mut(w).enumerate() {
+                for (value, inner) in through1.iter_mut().zip(&inner[row * w..]) {
+                    *value = *value * (T::ONE - *inner * *inner);
                 }
-                let frame = (start + row / count) * w;
-                add(&mut partial.frame1[frame..frame + w], back);
-                add(&mut partial.place1[row % count * w..(row % count + 1) * w], back);
+                add_to_tables((&mut partial.frame1, &mut partial.place1), start, (row, count), through1);
             }
         }
         partial
@@ -284,62 +219,19 @@ impl<T: Real> Residual<T> {
         }
         pulled
     }
-
-    fn pull_frames(&self, frames: &Frames<T>, dz: &[T], gradient: &mut [T]) {
-        let (layout, w) = (self.shape.layout(), self.shape.width);
-        sum_rows(&mut gradient[layout.input_bias.clone()], dz);
-        let features = Matrix::new(&frames.features, FRAME_FEATURES);
-        multiply(&mut gradient[layout.input_frame.clone()], Matrix::new(dz, w).transpose(), features, true);
-        let mut to_features = vec![T::default(); frames.features.len()];
-        let input = Matrix::new(self.part(&layout.input_frame), FRAME_FEATURES);
-        multiply(&mut to_features, Matrix::new(dz, w), input, false);
-        for (row, beat) in to_features.chunks_exact(FRAME_FEATURES).zip(&frames.beat) {
-            let at = layout.beat.start + beat * BEAT_FEATURES;
-            add(&mut gradient[at..at + BEAT_FEATURES], &row[2 * HARMONICS..]);
-        }
-    }
-
-    fn pull_positions(&self, positions: &Positions<T>, ds: &[T], gradient: &mut [T]) {
-        let (layout, w) = (self.shape.layout(), self.shape.width);
-        let features = Matrix::new(&positions.features, POSITION_FEATURES);
-        multiply(&mut gradient[layout.input_position.clone()], Matrix::new(ds, w).transpose(), features, true);
-        let mut to_features = vec![T::default(); positions.features.len()];
-        let input = Matrix::new(self.part(&layout.input_position), POSITION_FEATURES);
-        multiply(&mut to_features, Matrix::new(ds, w), input, false);
-        sum_rows(&mut gradient[layout.position2[1].clone()], &to_features);
-        let (pulled, hidden) =
-            (Matrix::new(&to_features, POSITION_FEATURES), Matrix::new(&positions.hidden, POSITION_HIDDEN));
-        multiply(&mut gradient[layout.position2[0].clone()], pulled.transpose(), hidden, true);
-        let mut to_hidden = vec![T::default(); positions.hidden.len()];
-        multiply(&mut to_hidden, pulled, Matrix::new(self.part(&layout.position2[0]), POSITION_HIDDEN), false);
-        for (g, h) in to_hidden.iter_mut().zip(&positions.hidden) {
-            *g = *g * (T::ONE - *h * *h);
-        }
-        sum_rows(&mut gradient[layout.position1[1].clone()], &to_hidden);
-        let pulled = Matrix::new(&to_hidden, POSITION_HIDDEN).transpose();
-        multiply(&mut gradient[layout.position1[0].clone()], pulled, Matrix::new(&positions.points, 3), true);
-    }
 }
 
-/// Activations of one block, reused.
-struct Scratch<T> {
-    inner: Vec<T>,
-    outer: Vec<T>,
-    back: Vec<T>,
-}
-
-impl<T: Real> Scratch<T> {
-    fn new(width: usize) -> Self {
-        let zeros = || vec![T::default(); BLOCK_ROWS * width];
-        Self { inner: zeros(), outer: zeros(), back: zeros() }
-    }
-
-    fn resized(&mut self, size: usize) -> &mut Self {
-        for buffer in [&mut self.inner, &mut self.outer, &mut self.back] {
-            buffer.resize(size, T::default());
-        }
-        self
-    }
+/// Adds one row's derivative to its frame's and its Gaussian's sums.
+fn add_to_tables<T: Real>(
+    (frames, places): (&mut [T], &mut [T]),
+    start: usize,
+    (row, count): (usize, usize),
+    derivative: &[T],
+) {
+    let w = derivative.len();
+    let (frame, place) = (start + row / count, row % count);
+    add(&mut frames[frame * w..(frame + 1) * w], derivative);
+    add(&mut places[place * w..(place + 1) * w], derivative);
 }
 
 fn frames_per_block(count: usize) -> usize {
@@ -362,13 +254,6 @@ fn sum_tables<T: Real>(out: &mut [T], frames: &[T], places: &[T], width: usize, 
                 *out = if accumulate { *out + sum } else { sum };
             }
         }
-    }
-}
-
-/// `out += Σ rows`.
-fn sum_rows<T: Real>(out: &mut [T], rows: &[T]) {
-    for row in rows.chunks_exact(out.len()) {
-        add(out, row);
     }
 }
 
@@ -429,8 +314,10 @@ mod tests {
             }
             sum
         };
-        let frames = c.network.frames(&c.theta, &c.beat);
-        let gradient = c.network.backward(&frames, &c.network.positions(&c.points), &c.pulled);
+        let (frames, positions) = (c.network.frames(&c.theta, &c.beat), c.network.positions(&c.points));
+        let (out, kept) = c.network.forward_kept(&frames, &positions);
+        assert_eq!(out, c.network.forward(&frames, &positions));
+        let gradient = c.network.backward(&frames, &positions, &kept, &c.pulled);
         let h = 1e-5;
         for k in 0..gradient.len() {
             let (mut up, mut down) = (c.network.clone(), c.network.clone());
@@ -444,13 +331,15 @@ mod tests {
     #[test]
     fn f32_gradient_follows_f64_and_threads_change_nothing() {
         let c = case(64, 300, 8);
-        let frames = c.network.frames(&c.theta, &c.beat);
-        let wide = c.network.backward(&frames, &c.network.positions(&c.points), &c.pulled);
-        let narrow = c.network.cast::<f32>();
-        let pulled: Vec<f32> = c.pulled.iter().map(|g| *g as f32).collect();
+        fn gradient<T: Real>(network: &Residual<T>, c: &Case) -> Vec<T> {
+            let (frames, positions) = (network.frames(&c.theta, &c.beat), network.positions(&c.points));
+            let pulled: Vec<T> = c.pulled.iter().map(|g| T::from_f64(*g)).collect();
+            network.backward(&frames, &positions, &network.forward_kept(&frames, &positions).1, &pulled)
+        }
+        let (wide, narrow) = (gradient(&c.network, &c), c.network.cast::<f32>());
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| narrow.backward(&narrow.frames(&c.theta, &c.beat), &narrow.positions(&c.points), &pulled))
+            pool.install(|| gradient(&narrow, &c))
         };
         let single = run(1);
         assert_eq!(single, run(3));
