@@ -30,9 +30,15 @@ fn against_the_toolbox() -> Result<(), Box<dyn std::error::Error>> {
         let beat = 4.0 * (std::f64::consts::TAU * 1.2 * frame as f64 / 30.0).sin();
         (120.0 + beat + (index * 7919 % 23) as f64) as u8
     };
+    let matte = |pixel: usize| {
+        let (row, column) = (pixel / size % size, pixel % size);
+        let radius = (row as f64 - 36.0).hypot(column as f64 - 36.0);
+        (255.0 * (30.0 - radius).clamp(0.0, 1.0)) as u8
+    };
     let sequence = Sequence {
         frames: (0..count * size * size * 3).map(code).collect(),
-        alpha: vec![255; count * size * size],
+        // A disc with a soft rim, as mattes are.
+        alpha: (0..count * size * size).map(matte).collect(),
         times_seconds: (0..count).map(|frame| frame as f64 / 30.0).collect(),
     };
     let clip = Clip::new("speed", size, size, sequence)?;
