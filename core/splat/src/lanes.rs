@@ -97,16 +97,21 @@ pub(crate) unsafe trait Lanes: Copy {
     unsafe fn ge(self, other: Self) -> Self::Mask;
     /// Lane-wise `self < other`.
     unsafe fn lt(self, other: Self) -> Self::Mask;
-    unsafe fn any(mask: Self::Mask) -> bool;
+    /// A bit for each lane, the first lane lowest.
+    unsafe fn bits(mask: Self::Mask) -> u32;
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// `mask ? a : b`.
     unsafe fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
     /// `mask ? self : 0`.
     unsafe fn keep(self, mask: Self::Mask) -> Self;
-    /// Sets the sign bit where the mask holds.
-    unsafe fn negative_where(self, mask: Self::Mask) -> Self;
-    /// `self·2^n` for an integer-valued `n` in [−126, 127], by adding to the exponent; `self` is near 1.
-    unsafe fn scale_exponent(self, n: Self) -> Self;
+    /// `−|self|`.
+    unsafe fn negative(self) -> Self;
+    /// `self·2^n`, `self` near 1, where `shifted = n + 1.5·2²³` holds the integer `n` in its low mantissa bits.
+    unsafe fn scale_exponent(self, shifted: Self) -> Self;
+    /// Writes the nearest integers; what does not fit is any integer.
+    unsafe fn store_whole(self, to: *mut i32);
+    /// Asks for a cache line that is read soon.
+    unsafe fn prefetch(_from: *const f32) {}
     /// Splits a positive normal value into mantissa in [1, 2) and exponent.
     unsafe fn split_exponent(self) -> (Self, Self);
     /// Sum over lanes, always in the same order.
@@ -130,8 +135,10 @@ pub(crate) unsafe trait Lanes: Copy {
         // SAFETY: the caller's contract is this method's.
         unsafe {
             let x = self.max(Self::splat(-126.0));
-            let whole = x.round();
-            let f = x.sub(whole);
+            // Adding 1.5·2²³ leaves the nearest integer in the low mantissa bits.
+            let magic = Self::splat(12_582_912.0);
+            let shifted = x.add(magic);
+            let f = x.sub(shifted.sub(magic));
             // Chebyshev interpolation of 2^f on [−½, ½], relative error 1.0e-7 before rounding.
             let mut p = Self::splat(1.339_086_3e-3);
             p = p.mul_add(f, Self::splat(9.676_032e-3));
@@ -139,7 +146,7 @@ pub(crate) unsafe trait Lanes: Copy {
             p = p.mul_add(f, Self::splat(2.402_210_7e-1));
             p = p.mul_add(f, Self::splat(6.931_472e-1));
             p = p.mul_add(f, Self::splat(1.000_000_1));
-            p.scale_exponent(whole)
+            p.scale_exponent(shifted)
         }
     }
 

@@ -18,7 +18,16 @@ pub(crate) const SLOT_HEAD: usize = 8;
 const LOOK_EVERY: usize = 16;
 const ROW_STRIDE: usize = TILE_WIDTH + MAX_LANES;
 const BUFFER: usize = TILE_HEIGHT * ROW_STRIDE;
-const IOTA: [f32; MAX_LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
+/// Column offsets of the lanes of a row's first, second, … vector.
+const IOTA: [f32; TILE_WIDTH] = {
+    let mut values = [0.0; TILE_WIDTH];
+    let mut i = 0;
+    while i < TILE_WIDTH {
+        values[i] = i as f32;
+        i += 1;
+    }
+    values
+};
 
 /// Writes the kernel's record of a splat: geometry relative to nothing, then `features`.
 pub(crate) fn write_record(splat: &Splat, features: &[f32], record: &mut [f32]) {
@@ -49,7 +58,8 @@ pub(crate) struct TileJob<'a> {
     pub size: [usize; 2],
 }
 
-/// A picture's planes, written or read by tiles: pointers to `C` planes and their row length.
+/// A picture's planes, written by tiles: pointers to up to `C` planes (null for channels that are only padding) and their
+/// row length.
 #[derive(Clone, Copy)]
 pub(crate) struct PlanePointers<const C: usize> {
     pub planes: [*mut f32; C],
@@ -61,7 +71,7 @@ unsafe impl<const C: usize> Send for PlanePointers<C> {}
 // SAFETY: as above.
 unsafe impl<const C: usize> Sync for PlanePointers<C> {}
 
-/// What the backward kernel reads of the picture and of the loss's gradient.
+/// What the backward kernel reads of the picture and of the loss's gradient; padding channels are empty.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneGradients<'a, const C: usize> {
     pub values: [&'a [f32]; C],
@@ -72,34 +82,41 @@ pub(crate) struct PlaneGradients<'a, const C: usize> {
     pub width: usize,
 }
 
-/// One row of an entry: what a kernel needs to evaluate it.
+/// The rows of an entry: what a kernel needs to evaluate each.
 #[derive(Clone, Copy, Default)]
 struct Rows {
     /// First column in the tile.
-    first: [f32; MAX_LANES],
-    /// One past the last column; not above `first` where there is nothing.
-    end: [f32; MAX_LANES],
-    /// Centre column minus ½.
-    centre: [f32; MAX_LANES],
+    first: [i32; TILE_HEIGHT],
+    /// Offset of the first column from the row's centre.
+    offset: [f32; TILE_HEIGHT],
     /// Vertical offset from the splat's centre.
-    dy: [f32; MAX_LANES],
+    dy: [f32; TILE_HEIGHT],
     /// `log2` of the alpha at the row's centre.
-    peak: [f32; MAX_LANES],
+    peak: [f32; TILE_HEIGHT],
 }
 
-/// The spans of a splat in the rows of a tile.
+/// A bit for each vector of a tile's rows: bit `16·k + row` is the `k`-th from the row's first column.
+const _: () = assert!(TILE_HEIGHT == 16 && TILE_WIDTH == 32 && MAX_LANES == TILE_HEIGHT);
+/// The bits of all rows of a tile.
+const ALL_ROWS: u32 = 0xFFFF;
+/// Repeats a row's bit for each of its vectors.
+const EACH_VECTOR: u64 = 0x0001_0001_0001_0001;
+
+/// The spans of a splat in the rows of a tile, and the bits of the vectors that cover them.
 ///
 /// # Safety
 /// Inside a function with the features of `V`.
 #[inline(always)]
-unsafe fn spans<V: Lanes>(record: &[f32], job: &TileJob, rows: &mut Rows) {
-    // SAFETY: V's features are here by contract; arrays hold MAX_LANES = TILE_HEIGHT values and V::N divides it.
+unsafe fn spans<V: Lanes>(record: &[f32], job: &TileJob, rows: &mut Rows) -> u64 {
+    let mut bits = 0;
+    // SAFETY: V's features are here by contract; the arrays hold TILE_HEIGHT values and V::N divides that.
     unsafe {
         let [mx, my] = [record[0] - job.origin[0] as f32 - 0.5, record[1] - job.origin[1] as f32 - 0.5];
         let (variance, shear, precision) = (V::splat(record[2]), V::splat(record[3]), V::splat(record[4]));
         let (slack, half_pixel) = (V::splat(SLACK_PX), V::splat(0.5));
         for row in (0..TILE_HEIGHT).step_by(V::N) {
-            let dy = V::load(IOTA.as_ptr()).add(V::splat(row as f32 - my));
+            let iota = V::load(IOTA.as_ptr());
+            let dy = iota.add(V::splat(row as f32 - my));
             let fall = precision.mul(dy).mul(dy);
             let rest = V::splat(record[6]).sub(fall);
             let half = variance.mul(rest.max(V::zero())).sqrt().add(slack);
@@ -107,18 +124,20 @@ unsafe fn spans<V: Lanes>(record: &[f32], job: &TileJob, rows: &mut Rows) {
             // Rounding half a pixel up is the ceiling for the first column, and one past the floor for the last.
             let first = centre.sub(half).add(half_pixel).round().max(V::zero());
             // Rows without a point of the ellipse, and rows below the picture, end before they start.
-            let inside =
-                V::both(rest.ge(V::zero()), V::load(IOTA.as_ptr()).lt(V::splat(job.size[1] as f32 - row as f32)));
+            let inside = V::both(rest.ge(V::zero()), iota.lt(V::splat(job.size[1] as f32 - row as f32)));
             let end = centre.add(half).add(half_pixel).round().min(V::splat(job.size[0] as f32)).keep(inside);
-            first.store(rows.first.as_mut_ptr().add(row));
-            end.store(rows.end.as_mut_ptr().add(row));
-            centre.store(rows.centre.as_mut_ptr().add(row));
+            for k in 0..TILE_WIDTH / V::N {
+                let covered = first.add(V::splat((k * V::N) as f32)).lt(end);
+                bits |= u64::from(V::bits(covered)) << (TILE_HEIGHT * k + row);
+            }
+            first.store_whole(rows.first.as_mut_ptr().add(row));
+            first.sub(centre).store(rows.offset.as_mut_ptr().add(row));
             dy.store(rows.dy.as_mut_ptr().add(row));
-            V::splat(-0.5 * std::f32::consts::LOG2_E)
-                .mul_add(fall, V::splat(record[5]))
-                .store(rows.peak.as_mut_ptr().add(row));
+            let peak = V::splat(-0.5 * std::f32::consts::LOG2_E).mul_add(fall, V::splat(record[5]));
+            peak.store(rows.peak.as_mut_ptr().add(row));
         }
     }
+    bits
 }
 
 /// Alpha, its weight and the next transmittance of `N` pixels.
@@ -142,10 +161,11 @@ unsafe fn blend<V: Lanes>(u: V, falloff: V, peak: V, transmittance: V) -> Blend<
     unsafe {
         let raw = u.mul(u).mul_add(falloff, peak).exp2();
         let alpha = raw.min(V::splat(ALPHA_MAX));
-        let pass = alpha.ge(V::splat(ALPHA_MIN));
+        // Below the cut alpha counts as 0, which changes no transmittance and finishes no pixel.
+        let alpha = alpha.keep(alpha.ge(V::splat(ALPHA_MIN)));
         let test = alpha.neg_mul_add(transmittance, transmittance);
-        let drawn = V::both(pass, test.ge(V::splat(TRANSMITTANCE_MIN)));
-        let next = V::select(drawn, test, transmittance.negative_where(pass));
+        let drawn = test.ge(V::splat(TRANSMITTANCE_MIN));
+        let next = V::select(drawn, test, transmittance.negative());
         Blend { raw, alpha, weight: alpha.mul(transmittance).keep(drawn), next, drawn }
     }
 }
@@ -183,13 +203,14 @@ unsafe fn rows_alive<V: Lanes>(transmittance: &[f32; BUFFER]) -> u32 {
             for x in (V::N..TILE_WIDTH).step_by(V::N) {
                 most = most.max(V::load(values.as_ptr().add(x)));
             }
-            alive |= u32::from(V::any(most.ge(V::zero()))) << row;
+            alive |= u32::from(V::bits(most.ge(V::zero())) != 0) << row;
         }
     }
     alive
 }
 
-/// Calls `visit(row, position, rows)` for each vector of pixels of an entry, `position` being its place in a plane.
+/// Calls `visit(place in a plane, row, u, rows)` for each vector of pixels of an entry, `u` being the pixels' offsets from
+/// the row's centre.
 ///
 /// # Safety
 /// Inside a function with the features of `V`.
@@ -198,19 +219,19 @@ unsafe fn for_each_vector<V: Lanes>(
     record: &[f32],
     job: &TileJob,
     alive: u32,
-    mut visit: impl FnMut(usize, usize, &Rows),
+    mut visit: impl FnMut(usize, usize, V, &Rows),
 ) {
     let mut rows = Rows::default();
-    // SAFETY: V's features are here by contract.
-    unsafe { spans::<V>(record, job, &mut rows) };
-    for row in 0..TILE_HEIGHT {
-        let (mut x, end) = (rows.first[row] as usize, rows.end[row] as usize);
-        if alive >> row & 1 == 0 {
-            continue;
-        }
-        while x < end {
-            visit(row, x, &rows);
-            x += V::N;
+    // SAFETY: V's features are here by contract; a bit's `k` is below TILE_WIDTH / V::N.
+    unsafe {
+        let mut bits = spans::<V>(record, job, &mut rows) & (u64::from(alive) * EACH_VECTOR);
+        while bits != 0 {
+            let bit = bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            let (row, skipped) = (bit % TILE_HEIGHT, bit / TILE_HEIGHT * V::N);
+            let at = row * ROW_STRIDE + skipped + rows.first[row] as usize;
+            let u = V::load(IOTA.as_ptr().add(skipped)).add(V::splat(rows.offset[row]));
+            visit(at, row, u, &rows);
         }
     }
 }
@@ -222,7 +243,7 @@ unsafe fn for_each_vector<V: Lanes>(
 #[inline(always)]
 unsafe fn forward_tile<V: Lanes, const C: usize>(job: &TileJob, out: &PlanePointers<C>) {
     let mut buffers = Buffers::<C>::new(job.size);
-    let mut alive = u32::MAX;
+    let mut alive = ALL_ROWS;
     // SAFETY: every vector starts at a column below TILE_WIDTH of a row below TILE_HEIGHT, and a row has MAX_LANES
     // padding columns, so loads and stores stay inside the planes. V's features are here by contract.
     unsafe {
@@ -233,11 +254,12 @@ unsafe fn forward_tile<V: Lanes, const C: usize>(job: &TileJob, out: &PlanePoint
                     break;
                 }
             }
+            if let Some(&ahead) = job.entries.get(index + 2) {
+                V::prefetch(job.records.as_ptr().wrapping_add(ahead as usize * (RECORD_HEAD + C)));
+            }
             let record = &job.records[entry as usize * (RECORD_HEAD + C)..][..RECORD_HEAD + C];
             let falloff = V::splat(record[7]);
-            for_each_vector::<V>(record, job, alive, |row, x, rows| {
-                let at = row * ROW_STRIDE + x;
-                let u = V::load(IOTA.as_ptr()).add(V::splat(x as f32 - rows.centre[row]));
+            for_each_vector::<V>(record, job, alive, |at, row, u, rows| {
                 let transmittance = buffers.transmittance.as_mut_ptr().add(at);
                 let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
                 step.next.store(transmittance);
@@ -249,7 +271,7 @@ unsafe fn forward_tile<V: Lanes, const C: usize>(job: &TileJob, out: &PlanePoint
         }
         for row in 0..job.size[1] {
             let to = (job.origin[1] + row) * out.width + job.origin[0];
-            for (plane, &target) in buffers.planes.iter().zip(&out.planes) {
+            for (plane, &target) in buffers.planes.iter().zip(&out.planes).filter(|(_, target)| !target.is_null()) {
                 std::ptr::copy_nonoverlapping(plane.as_ptr().add(row * ROW_STRIDE), target.add(to), job.size[0]);
             }
             for x in 0..job.size[0] {
@@ -266,7 +288,8 @@ fn load_gradients<const C: usize>(job: &TileJob, picture: &PlaneGradients<C>, bu
         let from = (job.origin[1] + row) * picture.width + job.origin[0];
         let (range, at) = (from..from + job.size[0], row * ROW_STRIDE..row * ROW_STRIDE + job.size[0]);
         let behind = &mut buffers.behind[at.clone()];
-        for ((plane, value), gradient) in buffers.planes.iter_mut().zip(&picture.values).zip(&picture.gradients) {
+        let channels = buffers.planes.iter_mut().zip(&picture.values).zip(&picture.gradients);
+        for ((plane, value), gradient) in channels.filter(|((_, value), _)| !value.is_empty()) {
             plane[at.clone()].copy_from_slice(&gradient[range.clone()]);
             for ((b, v), g) in behind.iter_mut().zip(&value[range.clone()]).zip(&gradient[range.clone()]) {
                 *b += v * g;
@@ -291,7 +314,7 @@ fn load_gradients<const C: usize>(job: &TileJob, picture: &PlaneGradients<C>, bu
 unsafe fn backward_tile<V: Lanes, const C: usize>(job: &TileJob, picture: &PlaneGradients<C>, slots: &mut [f32]) {
     let mut buffers = Buffers::<C>::new(job.size);
     load_gradients(job, picture, &mut buffers);
-    let mut alive = u32::MAX;
+    let mut alive = ALL_ROWS;
     let mut done = 0;
     // SAFETY: as in `forward_tile`.
     unsafe {
@@ -303,13 +326,14 @@ unsafe fn backward_tile<V: Lanes, const C: usize>(job: &TileJob, picture: &Plane
                 }
             }
             done = index + 1;
+            if let Some(&ahead) = job.entries.get(index + 2) {
+                V::prefetch(job.records.as_ptr().wrapping_add(ahead as usize * (RECORD_HEAD + C)));
+            }
             let record = &job.records[entry as usize * (RECORD_HEAD + C)..][..RECORD_HEAD + C];
             let falloff = V::splat(record[7]);
             let mut moments = [V::zero(); SLOT_HEAD];
             let mut on_features = [V::zero(); C];
-            for_each_vector::<V>(record, job, alive, |row, x, rows| {
-                let at = row * ROW_STRIDE + x;
-                let u = V::load(IOTA.as_ptr()).add(V::splat(x as f32 - rows.centre[row]));
+            for_each_vector::<V>(record, job, alive, |at, row, u, rows| {
                 let transmittance = buffers.transmittance.as_mut_ptr().add(at);
                 let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
                 step.next.store(transmittance);
@@ -382,9 +406,8 @@ unsafe fn weigh_entry_lanes<V: Lanes>(
     // SAFETY: as in `forward_tile`.
     unsafe {
         let falloff = V::splat(record[7]);
-        for_each_vector::<V>(record, job, u32::MAX, |row, x, rows| {
-            let u = V::load(IOTA.as_ptr()).add(V::splat(x as f32 - rows.centre[row]));
-            let at = transmittance.as_mut_ptr().add(row * ROW_STRIDE + x);
+        for_each_vector::<V>(record, job, ALL_ROWS, |place, row, u, rows| {
+            let (at, x) = (transmittance.as_mut_ptr().add(place), place % ROW_STRIDE);
             let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(at));
             step.next.store(at);
             let mut lanes = [0.0; MAX_LANES];

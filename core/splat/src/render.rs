@@ -23,8 +23,10 @@ pub struct Prepared {
     pub(crate) options: RasterOptions,
     /// Number of Gaussians in the scene.
     pub(crate) count: usize,
-    /// Composited channels, depth included.
+    /// Channels of the kernel: those composited, depth included, and zeros up to what a kernel is built for.
     pub(crate) channels: usize,
+    /// Features of each Gaussian.
+    pub(crate) features: usize,
     /// Drawn splats in depth order, and the Gaussian of each.
     pub(crate) splats: Vec<Splat>,
     pub(crate) gaussian_of_splat: Vec<u32>,
@@ -74,16 +76,12 @@ pub struct FrameGradient<'a> {
     pub transmittance: &'a [f32],
 }
 
-/// Runs `$body` with the constant `C` equal to `$channels`.
+/// Runs `$body` with the constant `C` equal to `$channels`, one of those that [`kernel_channels`] gives.
 macro_rules! with_channels {
     ($channels:expr, $body:expr) => {
         match $channels {
             1 => {
                 const C: usize = 1;
-                $body
-            }
-            2 => {
-                const C: usize = 2;
                 $body
             }
             3 => {
@@ -92,18 +90,6 @@ macro_rules! with_channels {
             }
             4 => {
                 const C: usize = 4;
-                $body
-            }
-            5 => {
-                const C: usize = 5;
-                $body
-            }
-            6 => {
-                const C: usize = 6;
-                $body
-            }
-            7 => {
-                const C: usize = 7;
                 $body
             }
             8 => {
@@ -118,16 +104,17 @@ macro_rules! with_channels {
                 const C: usize = 10;
                 $body
             }
-            11 => {
-                const C: usize = 11;
-                $body
-            }
             _ => {
-                const C: usize = 12;
+                const C: usize = MAX_CHANNELS;
                 $body
             }
         }
     };
+}
+
+/// The channels of the kernel that composites `channels`: the next count that one is built for. The rest are zeros.
+fn kernel_channels(channels: usize) -> usize {
+    [1, 3, 4, 8, 9, 10].into_iter().find(|&c| c >= channels).unwrap_or(MAX_CHANNELS)
 }
 
 /// Projects, sorts and bins a scene.
@@ -141,6 +128,7 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
     if channels > MAX_CHANNELS {
         return Err(SplatError::Channels { found: channels, most: MAX_CHANNELS });
     }
+    let channels = kernel_channels(channels);
     let view = View::new(camera, options);
     let drawn: Vec<(u32, Splat)> = (0..gaussians.len().div_ceil(CHUNK))
         .into_par_iter()
@@ -178,6 +166,7 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
         options: *options,
         count: gaussians.len(),
         channels,
+        features: gaussians.channels,
         splats,
         gaussian_of_splat,
         records,
@@ -231,8 +220,8 @@ pub fn composite(prepared: &Prepared) -> Frame {
     let mut frame = Frame {
         width,
         height,
-        channels: prepared.channels - depth,
-        planes: vec![0.0; (prepared.channels - depth) * pixels],
+        channels: prepared.features,
+        planes: vec![0.0; prepared.features * pixels],
         depth: vec![0.0; depth * pixels],
         transmittance: vec![1.0; pixels],
     };
@@ -282,7 +271,8 @@ pub fn backward(
 ) -> Result<SceneGradients, SplatError> {
     let pixels = frame.width * frame.height;
     gaussians.check()?;
-    expect_length("the prepared scene", gaussians.len(), prepared.count)?;
+    expect_length("the prepared scene", prepared.count, gaussians.len())?;
+    expect_length("the features of a Gaussian", prepared.features, gaussians.channels)?;
     expect_length("the frame", prepared.camera.width * prepared.camera.height, pixels)?;
     expect_length("the gradient of the planes", frame.planes.len(), gradient.planes.len())?;
     if !gradient.depth.is_empty() {
@@ -300,9 +290,12 @@ pub fn backward(
 /// Every entry's gradients, in the order of the tiles.
 fn slots<const C: usize>(prepared: &Prepared, frame: &Frame, gradient: &FrameGradient) -> Vec<f32> {
     let pixels = frame.width * frame.height;
-    let pick = |k: usize| match k < frame.channels {
-        true => (frame.plane(k), &gradient.planes[k * pixels..][..pixels]),
-        false => (&frame.depth[..], gradient.depth),
+    let pick = |k: usize| -> (&[f32], &[f32]) {
+        match k < frame.channels {
+            true => (frame.plane(k), &gradient.planes[k * pixels..][..pixels]),
+            false if k == frame.channels && prepared.options.depth => (&frame.depth[..], gradient.depth),
+            false => (&[], &[]),
+        }
     };
     let picture = PlaneGradients::<C> {
         values: std::array::from_fn(|k| pick(k).0),

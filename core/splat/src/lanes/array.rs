@@ -105,8 +105,8 @@ unsafe impl Lanes for Array {
         mask
     }
     #[inline(always)]
-    unsafe fn any(mask: Self::Mask) -> bool {
-        mask.iter().any(|&bits| bits != 0)
+    unsafe fn bits(mask: Self::Mask) -> u32 {
+        mask.iter().enumerate().map(|(i, bits)| (bits & 1) << i).sum()
     }
     #[inline(always)]
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask {
@@ -133,22 +133,22 @@ unsafe impl Lanes for Array {
         Self(out)
     }
     #[inline(always)]
-    unsafe fn negative_where(self, mask: Self::Mask) -> Self {
+    unsafe fn negative(self) -> Self {
+        Self(self.0.map(|x| f32::from_bits(x.to_bits() | 0x8000_0000)))
+    }
+    #[inline(always)]
+    unsafe fn scale_exponent(self, shifted: Self) -> Self {
         let mut out = [0.0; 8];
         for i in 0..8 {
-            out[i] = f32::from_bits(self.0[i].to_bits() | (mask[i] & 0x8000_0000));
+            // The shift drops all bits of 1.5·2²³ and leaves n in the exponent's place.
+            out[i] = f32::from_bits(self.0[i].to_bits().wrapping_add(shifted.0[i].to_bits() << 23));
         }
         Self(out)
     }
     #[inline(always)]
-    unsafe fn scale_exponent(self, n: Self) -> Self {
-        let mut out = [0.0; 8];
-        for i in 0..8 {
-            // The magic addend leaves the integer in the low mantissa bits.
-            let whole = (n.0[i] + 12_582_912.0).to_bits().wrapping_sub(0x4B40_0000);
-            out[i] = f32::from_bits(self.0[i].to_bits().wrapping_add(whole << 23));
-        }
-        Self(out)
+    unsafe fn store_whole(self, to: *mut i32) {
+        // SAFETY: the caller gives eight writable values.
+        unsafe { to.cast::<[i32; 8]>().write_unaligned(self.0.map(|x| x.round_ties_even() as i32)) }
     }
     #[inline(always)]
     unsafe fn split_exponent(self) -> (Self, Self) {

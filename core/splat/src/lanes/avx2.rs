@@ -62,8 +62,8 @@ unsafe impl Lanes for Avx2 {
         unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0) }
     }
     #[inline(always)]
-    unsafe fn any(mask: Self::Mask) -> bool {
-        unsafe { _mm256_movemask_ps(mask) != 0 }
+    unsafe fn bits(mask: Self::Mask) -> u32 {
+        unsafe { _mm256_movemask_ps(mask) as u32 }
     }
     #[inline(always)]
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask {
@@ -78,15 +78,24 @@ unsafe impl Lanes for Avx2 {
         Self(unsafe { _mm256_and_ps(self.0, mask) })
     }
     #[inline(always)]
-    unsafe fn negative_where(self, mask: Self::Mask) -> Self {
-        Self(unsafe { _mm256_or_ps(self.0, _mm256_and_ps(mask, _mm256_set1_ps(-0.0))) })
+    unsafe fn negative(self) -> Self {
+        Self(unsafe { _mm256_or_ps(self.0, _mm256_set1_ps(-0.0)) })
     }
     #[inline(always)]
-    unsafe fn scale_exponent(self, n: Self) -> Self {
+    unsafe fn scale_exponent(self, shifted: Self) -> Self {
         unsafe {
-            let shifted = _mm256_slli_epi32::<23>(_mm256_cvtps_epi32(n.0));
-            Self(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), shifted)))
+            // The shift drops all bits of 1.5·2²³ and leaves n in the exponent's place.
+            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted.0));
+            Self(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), exponent)))
         }
+    }
+    #[inline(always)]
+    unsafe fn store_whole(self, to: *mut i32) {
+        unsafe { _mm256_storeu_si256(to.cast(), _mm256_cvtps_epi32(self.0)) }
+    }
+    #[inline(always)]
+    unsafe fn prefetch(from: *const f32) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
     }
     #[inline(always)]
     unsafe fn split_exponent(self) -> (Self, Self) {

@@ -62,8 +62,8 @@ unsafe impl Lanes for Avx512 {
         unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, other.0) }
     }
     #[inline(always)]
-    unsafe fn any(mask: Self::Mask) -> bool {
-        mask != 0
+    unsafe fn bits(mask: Self::Mask) -> u32 {
+        u32::from(mask)
     }
     #[inline(always)]
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask {
@@ -78,15 +78,24 @@ unsafe impl Lanes for Avx512 {
         Self(unsafe { _mm512_maskz_mov_ps(mask, self.0) })
     }
     #[inline(always)]
-    unsafe fn negative_where(self, mask: Self::Mask) -> Self {
-        Self(unsafe { _mm512_mask_or_ps(self.0, mask, self.0, _mm512_set1_ps(-0.0)) })
+    unsafe fn negative(self) -> Self {
+        Self(unsafe { _mm512_or_ps(self.0, _mm512_set1_ps(-0.0)) })
     }
     #[inline(always)]
-    unsafe fn scale_exponent(self, n: Self) -> Self {
+    unsafe fn scale_exponent(self, shifted: Self) -> Self {
         unsafe {
-            let shifted = _mm512_slli_epi32::<23>(_mm512_cvtps_epi32(n.0));
-            Self(_mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(self.0), shifted)))
+            // The shift drops all bits of 1.5·2²³ and leaves n in the exponent's place.
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted.0));
+            Self(_mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(self.0), exponent)))
         }
+    }
+    #[inline(always)]
+    unsafe fn store_whole(self, to: *mut i32) {
+        unsafe { _mm512_storeu_si512(to.cast(), _mm512_cvtps_epi32(self.0)) }
+    }
+    #[inline(always)]
+    unsafe fn prefetch(from: *const f32) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
     }
     #[inline(always)]
     unsafe fn split_exponent(self) -> (Self, Self) {

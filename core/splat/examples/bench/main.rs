@@ -1,28 +1,15 @@
 //! Times the rasteriser on a scene in the form of a `.ply` and a `camera.json`, and holds it against f64 references
 //! when they lie beside them: `bench DIRECTORY TAG [CHANNELS]`, e.g. `bench ../shared/peers/splat 20k 3`.
 
+mod peers;
+
 use heartian_space::Camera;
 use heartian_splat::{
     FrameGradient, Gaussians, RasterOptions, RawGaussians, backward, composite, prepare, read_ply, simd_level,
 };
+use peers::{Fallible, planar, read_camera, read_npy, read_npz};
 use std::path::Path;
 use std::time::Instant;
-
-type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
-
-fn camera(directory: &Path) -> Fallible<Camera> {
-    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(directory.join("camera.json"))?)?;
-    let number = |key: &str| json[key].as_f64().unwrap_or(f64::NAN) as f32;
-    let w = |row: usize, column: usize| json["w2c"][row][column].as_f64().unwrap_or(f64::NAN) as f32;
-    Ok(Camera {
-        width: number("width") as usize,
-        height: number("height") as usize,
-        focal_px: [number("fx"), number("fy")],
-        principal_px: [number("cx"), number("cy")],
-        rotation: [0, 1, 2].map(|c| [0, 1, 2].map(|r| w(r, c))),
-        translation: [0, 1, 2].map(|r| w(r, 3)),
-    })
-}
 
 /// CPU time of all threads so far, milliseconds; 0 where the system does not tell.
 fn cpu_ms() -> f64 {
@@ -51,17 +38,16 @@ fn main() -> Fallible<()> {
     let tag = arguments.get(1).map_or("20k", String::as_str);
     let channels: usize = arguments.get(2).map_or(Ok(3), |c| c.parse())?;
     let raw = read_ply(&directory.join(format!("head_{tag}.ply")))?;
-    let camera = camera(directory)?;
+    let camera = read_camera(&directory.join("camera.json"))?;
     let activated = raw.activate();
     let own = raw.view(&activated);
     let features: Vec<f32> =
         (0..own.len()).flat_map(|i| (0..channels).map(move |c| (i, c))).map(|(i, c)| raw.colors[i][c % 3]).collect();
     let scene = Gaussians { features: &features, channels, ..own };
     let options = RasterOptions { near_metres: 0.01, ..RasterOptions::default() };
-    let weights: Vec<f32> = npyz::NpyFile::new(&std::fs::read(directory.join("weights.npy"))?[..])?.into_vec()?;
+    let weights = planar(&read_npy(&std::fs::read(directory.join("weights.npy"))?)?, 3);
     let pixels = camera.width * camera.height;
-    let planar: Vec<f32> =
-        (0..channels).flat_map(|c| (0..pixels).map(move |p| (c, p))).map(|(c, p)| weights[3 * p + c % 3]).collect();
+    let planar: Vec<f32> = (0..channels * pixels).map(|i| weights[i % weights.len()] as f32).collect();
     let gradient = FrameGradient { planes: &planar, ..FrameGradient::default() };
 
     let prepared = prepare(&scene, &camera, &options)?;
@@ -105,12 +91,8 @@ fn compare(
     camera: &Camera,
     options: &RasterOptions,
 ) -> Fallible<()> {
-    let reference: Vec<f64> =
-        npyz::NpyFile::new(&std::fs::read(directory.join(format!("ref_{tag}.npy")))?[..])?.into_vec()?;
-    let pixels = planes.len() / 3;
-    let worst = (0..planes.len())
-        .map(|i| (f64::from(planes[i]) - reference[3 * (i % pixels) + i / pixels]).abs())
-        .fold(0.0, f64::max);
+    let reference = planar(&read_npy(&std::fs::read(directory.join(format!("ref_{tag}.npy")))?)?, 3);
+    let worst = planes.iter().zip(&reference).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
     println!("image: largest error {worst:.2e}");
     let activated = raw.activate();
     let scene = raw.view(&activated);
@@ -118,7 +100,7 @@ fn compare(
     let mut gradients =
         backward(&scene, &prepared, &frame, &FrameGradient { planes: weights, ..FrameGradient::default() })?;
     RawGaussians::chain(&activated, &mut gradients);
-    let mut archive = npyz::npz::NpzArchive::open(directory.join(format!("ref_grad_{tag}.npz")))?;
+    let archive = std::fs::read(directory.join(format!("ref_grad_{tag}.npz")))?;
     for (name, own) in [
         ("means", gradients.means.as_flattened()),
         ("log_scales", gradients.scales.as_flattened()),
@@ -126,7 +108,7 @@ fn compare(
         ("logit", &gradients.opacities[..]),
         ("rgb", &gradients.features[..]),
     ] {
-        let reference: Vec<f64> = archive.by_name(name)?.ok_or("a gradient is missing")?.into_vec()?;
+        let reference = read_npz(&archive, name)?;
         let (mut off, mut whole) = (0.0, 0.0);
         for (a, b) in own.iter().zip(&reference) {
             off += (f64::from(*a) - b).powi(2);
