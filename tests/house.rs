@@ -22,7 +22,7 @@ const LADDER: [(&str, &[&str]); 15] = [
     ("avatar", &["splat", "face"]),
     ("pulse", &["space", "signal", "ops"]),
     ("nodes-capture", &["graph", "capture"]),
-    ("nodes-avatar", &["graph", "avatar"]),
+    ("nodes-avatar", &["graph", "avatar", "report"]),
     ("nodes-pulse", &["graph", "pulse"]),
     ("nodes-measure", &["graph", "signal", "report"]),
 ];
