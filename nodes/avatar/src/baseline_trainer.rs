@@ -24,10 +24,8 @@ register!(BaselineTrainer);
 impl Node for BaselineTrainer {
     const KIND: &'static str = "BaselineTrainer";
     const REVISION: u32 = 1;
-    const INPUTS: &'static [Port] = &[
-        Port::one::<Clip>("clip", "The recording."),
-        Port::one::<Track>("track", "The head tracked through it."),
-    ];
+    const INPUTS: &'static [Port] =
+        &[Port::one::<Clip>("clip", "The recording."), Port::one::<Track>("track", "The head tracked through it.")];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Avatar>("avatar", "Gaussians, their motion, the light, and the refined poses."),
         Port::one::<Metrics>("metrics", "avatar.*: size and fit."),

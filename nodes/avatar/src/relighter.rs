@@ -10,7 +10,8 @@ use heartian_space::{Clip, Modulation};
 use heartian_splat::{Environment, light_from_file};
 
 /// Lights that need no file, with their linear colour before it is scaled to unit luminance.
-const EVEN_LIGHTS: [(&str, [f32; 3]); 3] = [("white", [1.0; 3]), ("warm", [1.0, 0.71, 0.42]), ("cool", [0.80, 0.90, 1.0])];
+const EVEN_LIGHTS: [(&str, [f32; 3]); 3] =
+    [("white", [1.0; 3]), ("warm", [1.0, 0.71, 0.42]), ("cool", [0.80, 0.90, 1.0])];
 
 params! {
     /// Renders the avatar on a track under another light.

@@ -31,7 +31,9 @@ impl Node for Renderer {
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
         let (avatar, track) = (inputs.get::<Avatar>("avatar")?, inputs.get::<Track>("track")?);
         let modulation = inputs.get::<Modulation>("modulation")?;
-        let render = |label, modulation| render_clip(&avatar, &track, &RenderOptions { label, modulation, ..Default::default() });
+        let render = |label, modulation| {
+            render_clip(&avatar, &track, &RenderOptions { label, modulation, ..Default::default() })
+        };
         let baseline = render("baseline_rendered", None)?;
         if context.progress(1, 2, None).is_break() {
             return Err(NodeError::cancelled());

@@ -224,7 +224,7 @@ impl Sheet {
                 let [a, b] = [column, next].map(|c| self.vertex(row, c, true));
                 let [c, d] = [column, next].map(|c| self.vertex(row + 1, c, false));
                 // Diagonals mirror about the middle so that the face is symmetric.
-                if column < FRONT_COLUMNS.len() || column >= columns - (BACK_COLUMNS + 1) / 2 {
+                if column < FRONT_COLUMNS.len() || column >= columns - BACK_COLUMNS.div_ceil(2) {
                     self.triangles.extend([[a, c, d], [a, d, b]]);
                 } else {
                     self.triangles.extend([[a, c, b], [b, c, d]]);
@@ -238,8 +238,8 @@ impl Sheet {
         let ring: Vec<u32> = (0..columns).map(|column| self.vertex(0, column, false)).collect();
         let mut centre = [0.0; 3];
         for vertex in &ring {
-            for axis in 0..3 {
-                centre[axis] += self.vertices[*vertex as usize].position[axis] / columns as f64;
+            for (sum, coordinate) in centre.iter_mut().zip(self.vertices[*vertex as usize].position) {
+                *sum += coordinate / columns as f64;
             }
         }
         centre[1] += 0.0015;
