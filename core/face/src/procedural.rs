@@ -11,6 +11,8 @@ mod identity;
 mod parts;
 mod profile;
 mod sheet;
+#[cfg(test)]
+mod tests;
 mod weights;
 
 use crate::model::{Basis, HeadModel, JOINTS};

@@ -37,6 +37,9 @@ const CHUNK: usize = 24;
 /// Share of the distance between the eye corners that counts as one in the residuals, and its floor in pixels.
 const SCALE: f64 = 0.01;
 const LEAST_SCALE_PX: f64 = 0.35;
+/// Weight of an identity coefficient's square for each key frame: what the landmarks get wrong, they get wrong alike in
+/// every frame, so more frames must not outvote what is known of heads.
+const IDENTITY_PRIOR: f64 = 0.6;
 /// Distance between the outer eye corners of an adult, metres; only to set the residuals' scale.
 const EYE_CORNERS: f64 = 0.09;
 
@@ -81,14 +84,15 @@ pub fn track(
     let mut meter = Meter { step: 0, total: 4 + chunks + 2 * options.rounds as u64, report: progress };
     meter.tick(None)?;
     let (mut person, mut key_states) = job.start()?;
-    job.fit_person(&mut person, &mut key_states, 14);
+    job.fit_person(&mut person, &mut key_states, (5, 3.0));
+    job.fit_person(&mut person, &mut key_states, (8, 1.0));
     meter.tick(None)?;
     let mut offsets = None;
     if options.personal_offset {
-        let found = personal::Offsets::new(&job.points.rest, 90);
+        let found = personal::Offsets::new(&job.points.rest, 64);
         job.points = found.extended(&job.points);
         person.identity.resize(job.points.identity_count(), 0.0);
-        job.fit_person(&mut person, &mut key_states, 8);
+        job.fit_person(&mut person, &mut key_states, (5, 1.0));
         offsets = Some(found);
     }
     meter.tick(None)?;
@@ -97,7 +101,7 @@ pub fn track(
     meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
     for _ in 0..options.rounds {
         let mut key_states: Vec<State> = job.keys.iter().map(|&frame| states[frame].clone()).collect();
-        job.fit_person(&mut person, &mut key_states, 5);
+        job.fit_person(&mut person, &mut key_states, (3, 1.0));
         meter.tick(None)?;
         job.fit_clip(&person, &mut states, 4);
         meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
@@ -210,13 +214,14 @@ impl<'a> Job<'a> {
         frame::fit(&setting, seen, state, 12).0
     }
 
-    fn fit_person(&self, person: &mut Person, states: &mut Vec<State>, iterations: usize) {
+    /// Identity and key frames jointly, with the residuals' scale widened by a factor.
+    fn fit_person(&self, person: &mut Person, states: &mut Vec<State>, (iterations, widening): (usize, f64)) {
         let joint = Joint {
             points: &self.points,
             frames: self.keys.iter().map(|&key| &self.frames[key]).collect(),
-            scale_px: self.scale_px,
+            scale_px: self.scale_px * widening,
             frame_prior: &self.prior,
-            identity_prior: vec![1.0; person.identity.len()],
+            identity_prior: vec![IDENTITY_PRIOR * self.keys.len() as f64; person.identity.len()],
             focal_prior: self.options.refine_focal.then_some(100.0),
             focal_centre: self.lens.focal,
         };
@@ -327,11 +332,9 @@ impl<'a> Job<'a> {
 
     fn finished(&self, person: &Person, states: &[State], offsets: Option<&personal::Offsets>) -> Track {
         let mut identity: Vec<f32> = person.identity[..self.modes].iter().map(|value| *value as f32).collect();
-        let mut head = self.head.clone();
-        if let Some(offsets) = offsets {
-            head = offsets.baked(self.head, &person.identity[self.modes..]);
-            identity.push(1.0);
-        }
+        let offset = offsets.map(|offsets| (offsets, &person.identity[self.modes..]));
+        let head = personal::personalised(self.head, &identity, offset);
+        identity.push(1.0);
         let eyeballs = gaze::eyeballs(&head.with_identity(&identity));
         let frames = states
             .iter()

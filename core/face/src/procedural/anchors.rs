@@ -41,7 +41,7 @@ const LIP_COLUMNS: [f64; 4] = [0.87, 0.70, 0.47, 0.22];
 
 /// Landmarks of the middle line: index, height.
 const MIDDLE: [(u32, f64); 20] = [
-    (10, 71.0),
+    (10, 72.5),
     (151, 54.0),
     (9, 37.0),
     (8, 28.5),
@@ -78,17 +78,17 @@ const PAIRS: [(u32, u32, f64, f64); 76] = [
     (55, 285, 13.5, 31.5),
     // Eye corners of the outer ring.
     (130, 359, 48.0, 15.0),
-    (243, 463, 12.4, 13.6),
+    (243, 463, 13.6, 13.4),
     // Forehead.
-    (109, 338, 18.0, 69.0),
-    (67, 297, 33.5, 66.5),
+    (109, 338, 15.5, 71.0),
+    (67, 297, 30.5, 68.5),
     (108, 337, 13.5, 55.0),
     (69, 299, 26.0, 54.0),
     (104, 333, 43.0, 50.0),
     // Bridge and sides of the nose.
     (122, 351, 9.5, 13.0),
     (193, 417, 10.0, 23.0),
-    (245, 465, 10.2, 16.5),
+    (245, 465, 10.2, 12.0),
     (188, 412, 10.8, 7.0),
     (196, 419, 7.6, 6.0),
     (174, 399, 10.0, 1.0),
@@ -113,13 +113,13 @@ const PAIRS: [(u32, u32, f64, f64); 76] = [
     (129, 358, 20.6, -24.5),
     (203, 423, 20.5, -31.5),
     (125, 354, 4.0, -28.0),
-    (141, 370, 4.2, -32.0),
+    (141, 370, 3.2, -32.0),
     // Around the mouth.
     (167, 393, 5.5, -42.0),
     (165, 391, 13.5, -42.5),
     (92, 322, 20.5, -44.5),
     (186, 410, 25.5, -50.0),
-    (57, 287, 28.5, -57.5),
+    (57, 287, 30.5, -57.5),
     (43, 273, 26.5, -63.0),
     (106, 335, 21.0, -68.5),
     (182, 406, 13.5, -71.5),
@@ -130,7 +130,7 @@ const PAIRS: [(u32, u32, f64, f64); 76] = [
     // Cheeks.
     (50, 280, 47.0, -18.0),
     (101, 330, 33.5, -11.0),
-    (36, 266, 28.0, -17.0),
+    (36, 266, 28.0, -19.5),
     (205, 425, 38.0, -27.0),
     (187, 411, 50.0, -33.0),
     (117, 346, 51.0, -4.0),
@@ -154,7 +154,7 @@ const PAIRS: [(u32, u32, f64, f64); 76] = [
 /// The face oval where it is the silhouette: right, left, angle around the head in degrees, height at the front.
 const OVAL: [(u32, u32, f64, f64); 13] = [
     (103, 332, 41.0, 61.0),
-    (54, 284, 54.0, 51.0),
+    (54, 284, 48.0, 55.0),
     (21, 251, 61.0, 41.0),
     (162, 389, 64.0, 29.0),
     (127, 356, 72.0, 14.0),
@@ -163,9 +163,9 @@ const OVAL: [(u32, u32, f64, f64); 13] = [
     (132, 361, 76.0, -41.0),
     (58, 288, 71.0, -64.0),
     (172, 397, 62.0, -82.0),
-    (136, 365, 52.0, -93.0),
-    (150, 379, 42.0, -100.0),
-    (149, 378, 32.0, -102.5),
+    (136, 365, 55.0, -91.5),
+    (150, 379, 47.0, -97.5),
+    (149, 378, 37.0, -100.5),
 ];
 
 /// All anchors, by increasing index.
@@ -258,7 +258,9 @@ impl Placer<'_> {
                 self.vertex(name(LID_LOWER[k]), lower);
                 let ([ux, uy, _], [lx, ly, _]) = (self.millimetres(upper), self.millimetres(lower));
                 let bulge = (std::f64::consts::PI * (k as f64 + 1.0) / 8.0).sin();
-                self.front(name(RING_UPPER[k]), ux, uy + 1.8 + 1.4 * bulge);
+                // Toward the nose the ring runs inward of the lid's own columns.
+                let inward = if k == 6 { 2.5 * ux.signum() } else { 0.0 };
+                self.front(name(RING_UPPER[k]), ux - inward, uy + 1.8 + 1.4 * bulge);
                 self.front(name(RING_LOWER[k]), lx, ly - 1.8 - 1.4 * bulge);
                 let outward = 5.5 * (1.0 - k as f64 / 6.0) * lx.signum();
                 self.front(name(RING2_LOWER[k]), lx + outward, ly - 4.0 - 3.2 * bulge);
@@ -282,10 +284,9 @@ impl Placer<'_> {
             }
             for (k, share) in LIP_COLUMNS.into_iter().enumerate() {
                 for (upper, table) in [(true, &LIP_UPPER), (false, &LIP_LOWER)] {
-                    for slot in 0..2 {
-                        let column = share * MOUTH_COLUMN * if slot == 0 { -1.0 } else { 1.0 };
-                        let along = sheet.mouth_index_of_column(column);
-                        self.lip(sheet, table[row][k][slot], (along, row, upper));
+                    for (index, side) in table[row][k].into_iter().zip([-1.0, 1.0]) {
+                        let along = sheet.mouth_index_of_column(share * MOUTH_COLUMN * side);
+                        self.lip(sheet, index, (along, row, upper));
                     }
                 }
             }

@@ -187,7 +187,9 @@ pub fn hairline_height(angle: f64) -> f64 {
         [135.0, -62.0],
         [180.0, -78.0],
     ];
-    table(&LINE, angle.abs().to_degrees())[1]
+    // Mirrored about the back as about the front.
+    let around = angle.abs();
+    table(&LINE, around.min(2.0 * std::f64::consts::PI - around).to_degrees())[1]
 }
 
 /// How far a point at a front height and angle lies above the hairline, millimetres along the skin, and the direction in

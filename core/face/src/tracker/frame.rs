@@ -17,8 +17,8 @@ pub const EXPRESSION: usize = 9;
 const JAW_RANGE: [f64; 2] = [0.0, 0.7];
 /// Bound of an expression coefficient.
 const EXPRESSION_LIMIT: f64 = 3.0;
-/// A residual of this many scales counts a quarter.
-const ROBUST: f64 = 4.0;
+/// A residual of this many scales pulls a quarter as hard as a quadratic loss would let it.
+const ROBUST: f64 = 8.0;
 
 /// Pinhole intrinsics.
 #[derive(Clone, Copy, Debug)]
@@ -221,30 +221,27 @@ pub fn linearised(setting: &Setting, seen: &Seen, state: &State, shared: Shared)
             design.columns[entry * rows + 2 * k] = scaled.x;
             design.columns[entry * rows + 2 * k + 1] = scaled.y;
         }
-        design.residual[2 * k] = root * residual.x;
-        design.residual[2 * k + 1] = root * residual.y;
+        design.columns[width * rows + 2 * k] = root * residual.x;
+        design.columns[width * rows + 2 * k + 1] = root * residual.y;
         rows_of[point] = Some((k, root, weight));
     }
     for (g, [upper, lower]) in points.gaps.iter().enumerate() {
         if let (Some(a), Some(b)) = (rows_of[*upper], rows_of[*lower]) {
-            add_gap(&mut design, width, seen.points.len() + g, [a, b]);
+            add_gap(&mut design, seen.points.len() + g, [a, b]);
         }
     }
     Some(design)
 }
 
 /// Adds the difference of two landmarks' rows as a row of its own.
-fn add_gap(design: &mut Design, width: usize, at: usize, [a, b]: [(usize, f64, f64); 2]) {
+fn add_gap(design: &mut Design, at: usize, [a, b]: [(usize, f64, f64); 2]) {
     let rows = design.rows;
     let plain = |values: &[f64], (k, root, _): (usize, f64, f64), axis: usize| values[2 * k + axis] / root.max(1e-12);
-    let difference: [f64; 2] =
-        std::array::from_fn(|axis| plain(&design.residual, a, axis) - plain(&design.residual, b, axis));
-    let squared = difference[0] * difference[0] + difference[1] * difference[1];
+    let residual = &design.columns[design.width * rows..];
+    let squared: f64 = (0..2).map(|axis| (plain(residual, a, axis) - plain(residual, b, axis)).powi(2)).sum();
     let root = (a.2.min(b.2) * robust(squared).1).sqrt();
-    for axis in 0..2 {
-        design.residual[2 * at + axis] = root * difference[axis];
-        for entry in 0..width {
-            let column = &mut design.columns[entry * rows..(entry + 1) * rows];
+    for column in design.columns.chunks_mut(rows) {
+        for axis in 0..2 {
             column[2 * at + axis] = root * (plain(column, a, axis) - plain(column, b, axis));
         }
     }

@@ -82,46 +82,85 @@ pub fn damped_solve(matrix: &[f64], b: &[f64], damping: f64, held: &[bool]) -> O
     x.iter().all(|value| value.is_finite()).then_some(x)
 }
 
-/// A tall matrix by columns, with a right-hand side: the rows of a weighted least-squares problem.
+/// Products of all pairs of columns: `width × width`, row-major and symmetric, from `width × rows` columns.
+pub fn gram(columns: &[f64], rows: usize) -> Vec<f64> {
+    let width = columns.len().checked_div(rows).unwrap_or(0);
+    let mut matrix = vec![0.0; width * width];
+    let (stride, one) = (rows as isize, 1);
+    // SAFETY: both operands are `width` columns of `rows` values, all inside `columns` (width·rows ≤ its length); the
+    // result is `width²` values, exactly `matrix`, which nothing else borrows.
+    unsafe {
+        gemm::gemm(
+            width,
+            width,
+            rows,
+            matrix.as_mut_ptr(),
+            one,
+            width as isize,
+            false,
+            columns.as_ptr(),
+            one,
+            stride,
+            columns.as_ptr(),
+            stride,
+            one,
+            0.0,
+            1.0,
+            false,
+            false,
+            false,
+            gemm::Parallelism::None,
+        );
+    }
+    matrix
+}
+
+/// A tall matrix by columns, its right-hand side the last one: the rows of a weighted least-squares problem.
 pub struct Design {
     /// Number of rows.
     pub rows: usize,
-    /// `width × rows`.
+    /// Number of unknowns.
+    pub width: usize,
+    /// `(width + 1) × rows`; the last column is the residual.
     pub columns: Vec<f64>,
-    /// `rows`.
-    pub residual: Vec<f64>,
 }
 
 impl Design {
     /// All zeros.
     pub fn new(rows: usize, width: usize) -> Self {
-        Self { rows, columns: vec![0.0; rows * width], residual: vec![0.0; rows] }
+        Self { rows, width, columns: vec![0.0; rows * (width + 1)] }
     }
 
-    /// One column.
+    /// One column; column `width` is the residual.
+    #[cfg(test)]
     pub fn column(&self, k: usize) -> &[f64] {
         &self.columns[k * self.rows..(k + 1) * self.rows]
     }
 
-    /// `JᵀJ` (full, symmetric) and `Jᵀr`.
+    /// `JᵀJ` and `Jᵀr`.
     pub fn normal(&self) -> (Vec<f64>, Vec<f64>) {
-        let n = self.columns.len().checked_div(self.rows).unwrap_or(0);
-        let mut matrix = vec![0.0; n * n];
-        for i in 0..n {
-            for j in 0..=i {
-                let value = dot(self.column(i), self.column(j));
-                matrix[i * n + j] = value;
-                matrix[j * n + i] = value;
-            }
-        }
-        let gradient = (0..n).map(|k| dot(self.column(k), &self.residual)).collect();
-        (matrix, gradient)
+        let product = gram(&self.columns, self.rows);
+        let rows = product.chunks(self.width + 1).take(self.width);
+        let matrix = rows.clone().flat_map(|row| &row[..self.width]).copied().collect();
+        (matrix, rows.map(|row| row[self.width]).collect())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_fast_product_is_the_plain_one() {
+        let columns: Vec<f64> = (0..7 * 33).map(|k| (0.7 * f64::from(k)).sin()).collect();
+        let fast = gram(&columns, 33);
+        for i in 0..7 {
+            for j in 0..7 {
+                let plain: f64 = (0..33).map(|k| columns[33 * i + k] * columns[33 * j + k]).sum();
+                assert!((fast[7 * i + j] - plain).abs() < 1e-12);
+            }
+        }
+    }
 
     #[test]
     fn solves_what_it_factored_and_refuses_the_indefinite() {

@@ -93,35 +93,68 @@ impl Offsets {
         let amplitudes = self.amplitudes(point);
         amplitudes.iter().zip(shifts).map(|(amplitude, shift)| DVec3::from_array(*shift) * DEVIATION * *amplitude).sum()
     }
+}
 
-    /// The head with the offset as one more identity mode, of coefficient 1. Eyeballs move as the lids around them do on
-    /// average, the rest of the skeleton stays.
-    pub fn baked(&self, head: &HeadModel, coefficients: &[f64]) -> HeadModel {
-        let vector = |p: &[f32; 3]| DVec3::from_array(p.map(f64::from));
-        let eyes = [joint::EYE_LEFT, joint::EYE_RIGHT].map(|eye| {
-            let centre = vector(&head.joints[eye]);
-            let around: Vec<DVec3> = head
-                .landmarks
-                .iter()
-                .map(|anchor| vector(&head.landmark_position(anchor, &head.vertices)))
-                .filter(|landmark| (*landmark - centre).truncate().length() < 0.017 && landmark.z > centre.z)
-                .collect();
-            let sum: DVec3 = around.iter().map(|landmark| self.offset(*landmark, coefficients)).sum();
-            sum / around.len().max(1) as f64
-        });
-        let mut extended = head.clone();
-        for (vertex, region) in head.vertices.iter().zip(&head.regions) {
-            let shift = match region {
-                Region::EyeLeft => eyes[0],
-                Region::EyeRight => eyes[1],
-                _ => self.offset(vector(vertex), coefficients),
-            };
-            extended.identity.data.extend(shift.as_vec3().to_array());
+/// The head with one more identity mode of coefficient 1: the personal offset (if any), and eyeballs seated behind the
+/// lids of this person's face. The rest of the skeleton stays.
+pub fn personalised(head: &HeadModel, identity: &[f32], offset: Option<(&Offsets, &[f64])>) -> HeadModel {
+    let mut mode: Vec<DVec3> = head
+        .vertices
+        .iter()
+        .map(|vertex| {
+            offset.map_or(DVec3::ZERO, |(offsets, coefficients)| offsets.offset(vector(vertex), coefficients))
+        })
+        .collect();
+    let person = head.with_identity(identity);
+    let mut joints = [DVec3::ZERO; JOINTS];
+    for (region, eye) in [(Region::EyeLeft, joint::EYE_LEFT), (Region::EyeRight, joint::EYE_RIGHT)] {
+        let eyeball: Vec<usize> = (0..head.regions.len()).filter(|&i| head.regions[i] == region).collect();
+        let centre = vector(&head.joints[eye]);
+        let Some(seat) = Seat::of(head, &person, &mode, (centre, &eyeball)) else { continue };
+        for &i in &eyeball {
+            mode[i] = seat.centre + (vector(&head.vertices[i]) - centre) * seat.scale - vector(&person.vertices[i]);
         }
-        extended.identity.count += 1;
-        let mut joints = [DVec3::ZERO; JOINTS];
-        [joints[joint::EYE_LEFT], joints[joint::EYE_RIGHT]] = eyes;
-        extended.joint_identity.extend(joints.iter().flat_map(|shift| shift.as_vec3().to_array()));
-        extended
+        joints[eye] = seat.centre - vector(&person.joints[eye]);
+    }
+    let mut extended = head.clone();
+    extended.identity.data.extend(mode.iter().flat_map(|shift| shift.as_vec3().to_array()));
+    extended.identity.count += 1;
+    extended.joint_identity.extend(joints.iter().flat_map(|shift| shift.as_vec3().to_array()));
+    extended
+}
+
+fn vector(p: &[f32; 3]) -> DVec3 {
+    DVec3::from_array(p.map(f64::from))
+}
+
+/// Where an eyeball sits in a person's face, and its size relative to the template's.
+struct Seat {
+    centre: DVec3,
+    scale: f64,
+}
+
+impl Seat {
+    /// Moves and scales the eyeball as the lids around it were, then shrinks it until no lid cuts into it.
+    fn of(head: &HeadModel, person: &HeadModel, mode: &[DVec3], (centre, eyeball): (DVec3, &[usize])) -> Option<Self> {
+        let radius = eyeball.iter().map(|&i| vector(&head.vertices[i]).distance(centre)).fold(0.0, f64::max);
+        let around: Vec<(DVec3, DVec3)> = (0..head.vertices.len())
+            .filter(|&i| head.regions[i] == Region::Skin)
+            .map(|i| (vector(&head.vertices[i]), vector(&person.vertices[i]) + mode[i]))
+            .filter(|(rest, _)| (1.02 * radius..1.35 * radius).contains(&rest.distance(centre)) && rest.z > centre.z)
+            .collect();
+        if around.len() < 4 {
+            return None;
+        }
+        let count = around.len() as f64;
+        let from = around.iter().map(|pair| pair.0).sum::<DVec3>() / count;
+        let to = around.iter().map(|pair| pair.1).sum::<DVec3>() / count;
+        let (above, below) = around.iter().fold((0.0, 0.0), |(above, below), (rest, moved)| {
+            (above + (*rest - from).dot(*moved - to), below + (*rest - from).length_squared())
+        });
+        let mut scale = (above / below).clamp(0.8, 1.2);
+        let centre = to + (centre - from) * scale;
+        let clearance = around.iter().map(|(_, moved)| moved.distance(centre)).fold(f64::MAX, f64::min);
+        scale = scale.min(clearance / (1.03 * radius)).max(0.7);
+        Some(Self { centre, scale })
     }
 }

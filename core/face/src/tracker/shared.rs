@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::frame::{self, Lens, Seen, Setting, Shared, State};
-use super::linear::{cholesky, damped_solve, dot, forward, solve};
+use super::linear::{cholesky, damped_solve, forward, gram, solve};
 use super::points::Points;
 
 /// What the key frames share.
@@ -135,15 +135,11 @@ impl Joint<'_> {
 
     fn eliminated(&self, setting: &Setting, seen: &Seen, state: &State, damping: f64) -> Option<Eliminated> {
         let design = frame::linearised(setting, seen, state, self.shared())?;
-        let (own, shared) = (state.unknowns(), self.shared().count());
-        let mut factor = vec![0.0; own * own];
-        let mut gradient: Vec<f64> = (0..own).map(|k| dot(design.column(k), &design.residual)).collect();
-        for i in 0..own {
-            for j in 0..=i {
-                factor[i * own + j] = dot(design.column(i), design.column(j));
-                factor[j * own + i] = factor[i * own + j];
-            }
-        }
+        let (matrix, all_gradient) = design.normal();
+        let (own, width) = (state.unknowns(), design.width);
+        let shared = width - own;
+        let mut gradient = all_gradient[..own].to_vec();
+        let mut factor: Vec<f64> = matrix.chunks(width).take(own).flat_map(|row| &row[..own]).copied().collect();
         frame::add_prior(&mut factor, &mut gradient, self.frame_prior, &state.local());
         let held = state.held(&gradient);
         for i in 0..own {
@@ -157,36 +153,25 @@ impl Joint<'_> {
         if !cholesky(&mut factor, own) {
             return None;
         }
-        let mut coupling = vec![0.0; shared * own];
-        for s in 0..shared {
-            for p in (0..own).filter(|p| !held[*p]) {
-                coupling[s * own + p] = dot(design.column(own + s), design.column(p));
-            }
+        let mut coupling: Vec<f64> = matrix.chunks(width).skip(own).flat_map(|row| &row[..own]).copied().collect();
+        for column in coupling.chunks_mut(own) {
+            column.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(value, _)| *value = 0.0);
         }
-        Some(reduced(&design, factor, coupling, gradient))
+        // Columns of L⁻¹·[H_ps g]: their products are what elimination takes away.
+        let mut whitened = coupling.clone();
+        whitened.extend(&gradient);
+        whitened.chunks_mut(own).for_each(|column| forward(&factor, own, column));
+        let taken = gram(&whitened, own);
+        let row = |i: usize| &taken[i * (shared + 1)..(i + 1) * (shared + 1)];
+        let schur = (0..shared)
+            .flat_map(|i| {
+                let whole = &matrix[(own + i) * width + own..(own + i + 1) * width];
+                whole.iter().zip(row(i)).map(|(value, taken)| value - taken).collect::<Vec<f64>>()
+            })
+            .collect();
+        let reduced_gradient = (0..shared).map(|i| all_gradient[own + i] - row(i)[shared]).collect();
+        Some(Eliminated { factor, coupling, gradient, schur, reduced_gradient })
     }
-}
-
-/// Eliminates the frame's own unknowns from its normal equations.
-fn reduced(design: &super::linear::Design, factor: Vec<f64>, coupling: Vec<f64>, gradient: Vec<f64>) -> Eliminated {
-    let own = gradient.len();
-    let shared = coupling.len() / own;
-    let mut whitened = coupling.clone();
-    whitened.chunks_mut(own).for_each(|column| forward(&factor, own, column));
-    let mut whitened_gradient = gradient.clone();
-    forward(&factor, own, &mut whitened_gradient);
-    let mut schur = vec![0.0; shared * shared];
-    let mut reduced_gradient = vec![0.0; shared];
-    for i in 0..shared {
-        let (row, column) = (&whitened[i * own..(i + 1) * own], design.column(own + i));
-        for j in 0..=i {
-            let value = dot(column, design.column(own + j)) - dot(row, &whitened[j * own..(j + 1) * own]);
-            schur[i * shared + j] = value;
-            schur[j * shared + i] = value;
-        }
-        reduced_gradient[i] = dot(column, &design.residual) - dot(row, &whitened_gradient);
-    }
-    Eliminated { factor, coupling, gradient, schur, reduced_gradient }
 }
 
 impl Eliminated {

@@ -45,13 +45,13 @@ pub fn weak_perspective(points: &Points, shape: &Shape, lens: Lens, seen: &Seen)
     (state.is_finite() && depth > 0.0).then_some(state)
 }
 
-/// Up to `count` frames that differ: half of them evenly spread in time, half the least like those already chosen, by
+/// Up to `count` frames that differ: two thirds evenly spread in time, the rest the least like those already chosen, by
 /// the landmarks' places after removing shift and size.
 pub fn key_frames(frames: &[Seen], usable: &[usize], count: usize) -> Vec<usize> {
     if usable.len() <= count {
         return usable.to_vec();
     }
-    let even = (count / 2).max(1);
+    let even = (2 * count / 3).max(1);
     let mut chosen: Vec<usize> =
         (0..even).map(|k| usable[((2 * k + 1) * usable.len() / (2 * even)).min(usable.len() - 1)]).collect();
     let signatures: Vec<Vec<(usize, DVec2)>> = usable.iter().map(|&frame| signature(&frames[frame])).collect();

@@ -119,7 +119,7 @@ fn the_jacobian_is_the_derivative() -> Result<(), FaceError> {
         let (Some(after), Some(before)) = (moved(1.0), moved(-1.0)) else { return Err(FaceError::Cancelled) };
         let largest = design.column(k).iter().fold(0.0_f64, |a, b| a.max(b.abs()));
         for (row, exact) in design.column(k).iter().enumerate() {
-            let slope = (after.residual[row] - before.residual[row]) / (2.0 * h);
+            let slope = (after.column(design.width)[row] - before.column(design.width)[row]) / (2.0 * h);
             assert!((slope - exact).abs() <= 2e-4 * largest + 1e-12, "unknown {k}, row {row}: {slope} {exact}");
         }
     }
@@ -163,5 +163,94 @@ fn it_follows_a_talking_head_through_noise_and_dropouts() -> Result<(), FaceErro
     assert!(f1 >= 0.95);
     assert!(track.landmark_rms_px <= 0.03 * track.interocular_px);
     assert!(track.frames[91].is_finite() && !track.frames[91].fitted && track.frames[0].fitted);
+    Ok(())
+}
+
+/// Still frames of the template, for tests of input.
+fn frames_of(head: &HeadModel, count: usize) -> Vec<Option<Vec<Landmark>>> {
+    let camera = Camera::at_origin(128, 128, 150.0);
+    let pose = FramePose { translation: [0.0, 0.0, -0.5], ..FramePose::rest(0) };
+    let vertices = head.pose(&pose);
+    let landmark = |anchor: &crate::LandmarkAnchor| {
+        let pixel = camera.project(Vec3::from_array(head.landmark_position(anchor, &vertices)))?;
+        Some(Landmark { index: anchor.index, position_px: pixel.to_array(), weight: 1.0 })
+    };
+    vec![Some(head.landmarks.iter().filter_map(landmark).collect()); count]
+}
+
+fn times(count: usize) -> Vec<f64> {
+    (0..count).map(|t| t as f64 / 25.0).collect()
+}
+
+fn tracked(head: &HeadModel, frames: Vec<Option<Vec<Landmark>>>) -> Result<Track, FaceError> {
+    let observations = Observations::new(128, 128, times(frames.len()), frames)?;
+    track(head, &observations, &TrackOptions::default(), &mut silent)
+}
+
+#[test]
+fn bad_input_has_a_definite_answer() -> Result<(), FaceError> {
+    let head = HeadModel::procedural();
+    let good = frames_of(&head, 1);
+    let one = tracked(&head, good.clone())?;
+    assert!(one.frames.len() == 1 && one.landmark_rms_px < 0.2, "one frame is enough: {}", one.landmark_rms_px);
+    assert!(matches!(tracked(&head, vec![None, Some(vec![])]), Err(FaceError::NoFace { frames: 2 })));
+    let few = vec![good[0].as_ref().map(|frame| frame[..5].to_vec())];
+    assert!(matches!(tracked(&head, few), Err(FaceError::TooFewLandmarks { found: 5, .. })));
+    let mut broken = good.clone();
+    broken[0].iter_mut().flatten().take(1).for_each(|landmark| landmark.position_px[1] = f32::NAN);
+    assert!(matches!(tracked(&head, broken), Err(FaceError::Landmark { what: "y", .. })));
+    let twice = vec![good[0].as_ref().map(|frame| vec![frame[3]; 2])];
+    assert!(matches!(tracked(&head, twice), Err(FaceError::Observations(_))));
+    assert!(matches!(Observations::new(0, 9, times(1), good.clone()), Err(FaceError::ImageSize { .. })));
+    assert!(matches!(Observations::new(9, 9, vec![], vec![]), Err(FaceError::Observations(_))));
+    assert!(matches!(Observations::new(9, 9, vec![1.0, 1.0], frames_of(&head, 2)), Err(FaceError::Observations(_))));
+    let observations = Observations::new(128, 128, times(1), good)?;
+    let wild = TrackOptions { focal_px: Some(f64::NAN), ..TrackOptions::default() };
+    assert!(matches!(track(&head, &observations, &wild, &mut silent), Err(FaceError::Option { .. })));
+    let stop = &mut |_| ControlFlow::Break(());
+    assert!(matches!(track(&head, &observations, &TrackOptions::default(), stop), Err(FaceError::Cancelled)));
+    // Landmarks of no face at all: an answer or a typed error, never a panic.
+    let mut random = Random(5);
+    let noise = vec![Some(
+        head.landmarks
+            .iter()
+            .map(|anchor| Landmark {
+                index: anchor.index,
+                position_px: [0, 1].map(|_| (1e6 * random.normal()) as f32),
+                weight: 1.0,
+            })
+            .collect(),
+    )];
+    if let Ok(track) = tracked(&head, noise) {
+        assert!(track.frames.iter().all(FramePose::is_finite));
+    }
+    let point = vec![good_point(&head)];
+    assert!(tracked(&head, point).is_err(), "all landmarks in one place");
+    Ok(())
+}
+
+fn good_point(head: &HeadModel) -> Option<Vec<Landmark>> {
+    let landmark = |index: u32| Landmark { index, position_px: [64.0, 64.0], weight: 1.0 };
+    Some(head.landmarks.iter().map(|anchor| landmark(anchor.index)).collect())
+}
+
+#[test]
+fn threads_do_not_change_a_bit_and_a_track_travels() -> Result<(), Box<dyn std::error::Error>> {
+    use heartian_artifact::{Artifact, BundleReader};
+    let head = HeadModel::procedural();
+    let scene = scene(&head, 30, (0.5, 0.05), 7)?;
+    let run = |threads: usize| -> Result<Vec<u8>, Box<dyn std::error::Error + Send + Sync>> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+        let options = TrackOptions { key_frames: 6, ..TrackOptions::default() };
+        let track = pool.install(|| track(&head, &scene.observations, &options, &mut silent))?;
+        Ok(track.to_bundle()?.to_bytes()?)
+    };
+    let (one, three) = (run(1), run(3));
+    let (one, three) = (one.map_err(|e| e.to_string())?, three.map_err(|e| e.to_string())?);
+    assert!(one == three);
+    let track = Track::from_bundle(BundleReader::new(&one)?)?;
+    assert_eq!(track.to_bundle()?.to_bytes()?, one);
+    let bytes = scene.observations.to_bundle()?.to_bytes()?;
+    assert_eq!(Observations::from_bundle(BundleReader::new(&bytes)?)?, scene.observations);
     Ok(())
 }
