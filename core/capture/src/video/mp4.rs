@@ -80,7 +80,7 @@ impl Mp4 {
     fn seek(&mut self, start_seconds: f64) {
         let ticks = (start_seconds * f64::from(self.track.ticks_per_second)) as i64;
         let syncs = self.track.samples.iter().enumerate().filter(|(_, sample)| sample.is_sync && sample.shown <= ticks);
-        self.next = syncs.map(|(index, _)| index).last().unwrap_or(0);
+        self.next = syncs.map(|(index, _)| index).next_back().unwrap_or(0);
         // Pictures shown before the sync sample but coded after it lean on pictures we did not decode.
         let first = self.track.samples.get(self.next).map_or(0, |sample| sample.shown).max(0);
         let first = if self.next == 0 { 0 } else { first };

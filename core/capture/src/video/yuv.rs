@@ -92,7 +92,7 @@ impl Factors {
 /// One luma row's chroma, in eighths.
 fn chroma_row(plane: &[u8], [width, height]: [usize; 2], row: usize, out: &mut [i32]) {
     let near = (row / 2).min(height - 1);
-    let far = if row % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(height - 1) };
+    let far = if row.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(height - 1) };
     let (near, far) = (&plane[near * width..][..width], &plane[far * width..][..width]);
     let at = |i: usize| 3 * i32::from(near[i]) + i32::from(far[i]);
     for (x, out) in out.iter_mut().enumerate() {
