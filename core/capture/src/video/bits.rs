@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn golomb_codes_follow_the_standard() {
-        let bytes = [0b1_010_011_0, 0b0100_0010, 0b1_0000000];
+        let bytes = [0b1010_0110, 0b0100_0010, 0b1000_0000];
         let mut bits = Bits { bytes: &bytes, at: 0 };
         assert_eq!(
             [bits.golomb(), bits.golomb(), bits.golomb(), bits.golomb(), bits.golomb()],
