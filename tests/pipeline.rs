@@ -28,14 +28,18 @@ impl Bench {
         self.0.path().join(run)
     }
 
-    fn run(&self, graph: &str, run: &str, sets: &[&str]) -> Output {
+    fn command(&self, graph: &str, run: &str, sets: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_heartian"));
         command.current_dir(self.0.path()).env("NO_COLOR", "1").arg("run").arg(root().join("graphs").join(graph));
         command.arg("--cache").arg(self.0.path().join("cache")).arg("--out").arg(self.folder(run));
         for set in sets {
             command.args(["--set", set]);
         }
-        command.output().unwrap()
+        command
+    }
+
+    fn run(&self, graph: &str, run: &str, sets: &[&str]) -> Output {
+        self.command(graph, run, sets).output().unwrap()
     }
 
     /// Runs and returns `metrics.json`.
@@ -107,6 +111,24 @@ fn a_heartbeat_is_written_and_read_back_and_reruns_redo_only_what_they_must() {
         assert_eq!(status(&ablation, id), "hit", "{id}");
     }
     assert_eq!(status(&ablation, "residual"), "absent");
+}
+
+/// Every artifact of the pipeline, at one thread and at three: the same bytes.
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let tiny = ["frames.seconds=3", "frames.size=64", "avatar.gaussians=1500", "avatar.steps=60", "residual.steps=20"];
+    let digests = |threads: &str| {
+        let bench = Bench::new();
+        let mut command = bench.command("full.ron", "run", &tiny);
+        assert!(command.env("RAYON_NUM_THREADS", threads).output().unwrap().status.success());
+        let record: Value =
+            serde_json::from_slice(&std::fs::read(bench.folder("run").join("run.json")).unwrap()).unwrap();
+        let nodes = record["nodes"].as_array().unwrap();
+        nodes.iter().map(|node| (node["id"].clone(), node["outputs"].clone())).collect::<Vec<_>>()
+    };
+    let one = digests("1");
+    assert!(one.len() >= 10 && one.iter().all(|(_, outputs)| outputs.as_object().is_some_and(|o| !o.is_empty())));
+    assert_eq!(one, digests("3"));
 }
 
 #[test]
