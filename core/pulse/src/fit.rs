@@ -5,6 +5,7 @@
 
 mod objective;
 mod options;
+mod warm;
 
 pub use options::{PhaseOptions, PhaseRates, Start};
 
@@ -14,14 +15,15 @@ use heartian_space::{AlbedoOperator, Progress};
 
 use crate::adam::Adam;
 use crate::error::{PulseError, check_length};
-use crate::losses::{LossWeights, WaveformTarget};
-use crate::numeric::{mean, wrap};
+use crate::losses::WaveformTarget;
+use crate::numeric::mean;
 use crate::phase::{Parameterization, Phase};
 use crate::pulse::{Pulse, Strength};
 use crate::reference::{Reference, WeakPhase};
 use crate::render_loss::{RenderLoss, levels_per_albedo};
 use crate::waveform::Waveform;
 use objective::{Losses, Objective, Variables};
+use warm::warm_waveform;
 
 /// What the fit sees beside the reference: the video's weak phase and the renderer, both optional, and the skin.
 #[derive(Clone, Copy, Default)]
@@ -113,34 +115,9 @@ fn starting_point(
     let phase = Phase::following(options.parameterization, &unwrapped);
     let waveform = match options.start {
         Start::MeanRate => Waveform::default(),
-        Start::Beats => warm_waveform(&reference.phase, target, options)?,
+        Start::Beats => warm_waveform(reference, target.values(), &options.penalties),
     };
     Ok((phase, waveform))
-}
-
-/// Steps and rate of the warm start: a few milliseconds for a minute of video.
-const WARM_STEPS: usize = 400;
-const WARM_RATE: f64 = 2e-2;
-
-/// The two Gaussians fitted to the reference at its own phase.
-fn warm_waveform(phase: &[f64], target: &WaveformTarget, options: &PhaseOptions) -> Result<Waveform, PulseError> {
-    let theta: Vec<f64> = phase.iter().map(|&phase| wrap(phase)).collect();
-    let weights = LossWeights { mse: 1.0, pearson: 0.0, ..options.weights };
-    let (mut parameters, mut adam) = (Waveform::default().to_array(), Adam::new(6));
-    let mut scratch = vec![0.0; theta.len()];
-    let mut best = (f64::INFINITY, Waveform::default());
-    for step in 0..=WARM_STEPS {
-        let waveform = Waveform::from_array(parameters);
-        let loss = target.loss(&waveform.evaluate(&theta), &weights)?;
-        let mut gradient = waveform.evaluate_vjp(&theta, &loss.gradient, &mut scratch);
-        let total = loss.mse + waveform.penalty(&options.penalties, &mut gradient);
-        if total < best.0 {
-            best = (total, waveform);
-        }
-        let rate = WARM_RATE * 0.05f64.powf(step as f64 / WARM_STEPS as f64);
-        adam.step(&mut parameters, &gradient.to_array(), |_| rate);
-    }
-    Ok(best.1)
 }
 
 /// Adam over all groups with the paper's rates; the decays are laid onto the number of steps taken.

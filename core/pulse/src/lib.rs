@@ -3,6 +3,17 @@
 //!
 //! Phase is in radians, 0 at the systolic peak; offsets are in linear green albedo; all fitting is f64 except the
 //! network, which is f32 with an f64 twin. Everything is deterministic at any thread count.
+//!
+//! Differs from the paper, with the effect measured (`tests/table.rs` prints it again):
+//! - each iteration sees all frames at once and the decays are laid onto 3,000 of them instead of 60,000 (20 s clips:
+//!   Pearson of the fundamental 0.9995 against 0.9998, real wrist PPG 0.988 against 0.996; a twentieth of the time);
+//! - phase and waveform start from the reference's beats and average beat; from the mean rate, a rate that wanders loses
+//!   its turn (Pearson 0.98 on a wandering 20 s clip, 0.22 after 10 min, against 0.9995);
+//! - the modulation is centred, so that the mean colour stays the baseline's; A is learnt as a factor of its start,
+//!   between a floor and a ceiling, and bounded in 8-bit levels, since L_base alone would let it vanish;
+//! - L_base is a quadratic bound of the L1 of sRGB green over pooled cells, exact at zero modulation, without D-SSIM;
+//! - the network's blocks have one linear map each; its training losses see a Gaussian of each of four skin patches a
+//!   step, 300 steps (mean over all 6,000 Gaussians afterwards: Pearson ≥ 0.999 on real PPG).
 
 mod adam;
 mod error;

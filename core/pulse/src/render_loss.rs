@@ -156,12 +156,12 @@ pub(crate) mod tests {
         let group_of: Vec<usize> = (0..6).collect();
         let surrogate = RenderLoss::new(&operator, &group_of, 6).unwrap();
         let zero = vec![0.0; 24];
-        let at_zero = surrogate.loss(&zero, 1.0, &mut vec![0.0; 24]);
+        let at_zero = surrogate.loss(&zero, 1.0, &mut [0.0; 24]);
         assert!((at_zero - exact_l1(&operator, &zero)).abs() < 1e-6);
         let mut random = Random::new(8);
         for _ in 0..20 {
             let x: Vec<f64> = (0..24).map(|_| 0.005 * random.normal()).collect();
-            let (above, exact) = (surrogate.loss(&x, 1.0, &mut vec![0.0; 24]), exact_l1(&operator, &x));
+            let (above, exact) = (surrogate.loss(&x, 1.0, &mut [0.0; 24]), exact_l1(&operator, &x));
             assert!(above > exact - 1e-5 && above < exact + 0.01, "{above} {exact}");
         }
     }

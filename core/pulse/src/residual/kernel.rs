@@ -319,12 +319,12 @@ mod tests {
         assert_eq!(out, c.network.forward(&frames, &positions));
         let gradient = c.network.backward(&frames, &positions, &kept, &c.pulled);
         let h = 1e-5;
-        for k in 0..gradient.len() {
+        for (k, exact) in gradient.iter().enumerate() {
             let (mut up, mut down) = (c.network.clone(), c.network.clone());
             up.weights[k] += h;
             down.weights[k] -= h;
             let slope = (loss(&up) - loss(&down)) / (2.0 * h);
-            assert!((slope - gradient[k]).abs() < 1e-7 * slope.abs().max(1.0), "weight {k}: {slope} {}", gradient[k]);
+            assert!((slope - exact).abs() < 1e-7 * slope.abs().max(1.0), "weight {k}: {slope} {}", exact);
         }
     }
 
