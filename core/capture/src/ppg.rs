@@ -56,12 +56,11 @@ pub struct ClipPpg {
     pub at_frames: Series,
 }
 
-/// Reads the trace of a recording; its times are on the clip's clock.
+/// Lays a whole trace, read from `path`, over the clip; its times are on the clip's clock.
 ///
 /// # Errors
-/// When the file cannot be read, a line is malformed, or the trace is shorter than the clip.
-pub fn read_clip_ppg(path: &Path, clip: &Clip) -> Result<ClipPpg, PpgError> {
-    let whole = read_ppg(path)?;
+/// When the trace is shorter than the clip.
+pub fn cover_clip(path: &Path, whole: &Series, clip: &Clip) -> Result<ClipPpg, PpgError> {
     let series = |source| PpgError::Series {
         path: path.to_owned(),
         source,
@@ -176,10 +175,11 @@ mod tests {
             (0..=(seconds * 10.0) as u32).map(|k| format!("{},{k}\n", f64::from(k) / 10.0)).collect::<String>()
         };
         std::fs::write(&path, format!("time_s,ppg\n{}", lines(4.0)))?;
-        let ppg = read_clip_ppg(&path, &clip)?;
+        let ppg = cover_clip(&path, &read_ppg(&path)?, &clip)?;
         assert!((ppg.at_frames.values[15] - 5.0).abs() < 1e-9 && ppg.contact.len() == 40);
         std::fs::write(&path, format!("time_s,ppg\n{}", lines(2.0)))?;
-        let message = read_clip_ppg(&path, &clip).err().map(|error| error.to_string()).unwrap_or_default();
+        let message =
+            cover_clip(&path, &read_ppg(&path)?, &clip).err().map(|error| error.to_string()).unwrap_or_default();
         std::fs::remove_file(&path)?;
         assert!(message.contains("0.000–2.000 s but 0.000–2.967 s is needed"), "{message}");
         Ok(())

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use heartian_capture::CaptureError;
-use heartian_capture::ppg::{ClipPpg, read_clip_ppg};
+use heartian_capture::ppg::{ClipPpg, cover_clip, read_ppg};
 use heartian_capture::real::{RealOptions, load_real};
 use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate};
 use heartian_face::Observations;
@@ -81,12 +81,14 @@ impl Node for FrameLoader {
     }
 
     fn run(&self, _: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
-        if self.source == SYNTHETIC { self.synthesise(context) } else { self.read(context) }
+        // The trace first: a mistake in it is found before minutes of video are read.
+        let trace = self.ppg.as_ref().map(|path| Trace::read(path)).transpose()?;
+        if self.source == SYNTHETIC { self.synthesise(trace, context) } else { self.read(trace, context) }
     }
 }
 
 impl FrameLoader {
-    fn synthesise(&self, context: &Context) -> Result<Outputs, NodeError> {
+    fn synthesise(&self, trace: Option<Trace<'_>>, context: &Context) -> Result<Outputs, NodeError> {
         let options = SyntheticOptions {
             seconds: self.seconds,
             size: self.size,
@@ -102,9 +104,8 @@ impl FrameLoader {
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let recording = generate(&options, watch).map_err(named)?;
-        let ppg = self.contact(&recording.clip)?;
-        let ppg = match ppg {
-            Some(ppg) => ppg,
+        let ppg = match trace {
+            Some(trace) => trace.over(&recording.clip)?,
             None => {
                 let at_frames = recording.ppg.resampled(&recording.clip.times_seconds, 1.0)?;
                 ClipPpg { contact: recording.ppg, at_frames }
@@ -118,7 +119,7 @@ impl FrameLoader {
             .put("truth", recording.truth))
     }
 
-    fn read(&self, context: &Context) -> Result<Outputs, NodeError> {
+    fn read(&self, trace: Option<Trace<'_>>, context: &Context) -> Result<Outputs, NodeError> {
         let options = RealOptions {
             start_seconds: self.start_seconds,
             seconds: self.seconds,
@@ -128,7 +129,7 @@ impl FrameLoader {
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
-        let ppg = self.contact(&recording.clip)?;
+        let ppg = trace.map(|trace| trace.over(&recording.clip)).transpose()?;
         let (contact, at_frames) = ppg.map(|ppg| (ppg.contact, ppg.at_frames)).unzip();
         Ok(Outputs::new()
             .put("clip", recording.clip)
@@ -136,10 +137,22 @@ impl FrameLoader {
             .put_some("ppg", contact)
             .put_some("ppg_at_frames", at_frames))
     }
+}
 
-    fn contact(&self, clip: &Clip) -> Result<Option<ClipPpg>, NodeError> {
-        let read = |path: &String| read_clip_ppg(Path::new(path), clip);
-        self.ppg.as_ref().map(read).transpose().map_err(|error| NodeError::from(error).parameter("ppg"))
+/// A contact PPG and the file it came from.
+struct Trace<'a> {
+    path: &'a Path,
+    whole: Series,
+}
+
+impl<'a> Trace<'a> {
+    fn read(path: &'a str) -> Result<Self, NodeError> {
+        let path = Path::new(path);
+        Ok(Self { path, whole: read_ppg(path).map_err(|error| NodeError::from(error).parameter("ppg"))? })
+    }
+
+    fn over(&self, clip: &Clip) -> Result<ClipPpg, NodeError> {
+        cover_clip(self.path, &self.whole, clip).map_err(|error| NodeError::from(error).parameter("ppg"))
     }
 }
 
