@@ -45,10 +45,10 @@ pub(super) fn face_mask(face: &Points, size: usize) -> Vec<f32> {
 /// 1 above the neckline, 0 below, soft between. The line turns with the face: `NECK` face heights below the chin on the
 /// axis between the jaw's corners (which stays with the neck when the head turns), rising beside it: shoulders go.
 pub(super) fn above_neckline(face: &Points, size: usize) -> Vec<f32> {
-    const NECK: f32 = 0.36;
-    const RISE: f32 = 1.3;
-    /// The line ends here, a little above the chin, and does not bend up into the hair.
-    const HIGHEST: f32 = -0.10;
+    const NECK: f32 = 0.31;
+    const RISE: f32 = 1.8;
+    /// The line ends here, at the level of the mouth, and does not bend further up into the hair.
+    const HIGHEST: f32 = -0.40;
     const SOFT: f32 = 0.05;
     let whole = || vec![1.0; size * size];
     let [Some(top), Some(chin), Some(right), Some(left)] =
@@ -136,7 +136,7 @@ mod tests {
         let want = std::f32::consts::PI * 0.2 * 0.25 * SHRINK * SHRINK;
         assert!((area - want).abs() < 0.03 * want, "{area} {want}");
         let line = above_neckline(&face, size);
-        assert_eq!((line[96 * size + 64], line[126 * size + 64], line[110 * size + 5]), (1.0, 0.0, 0.0));
+        assert_eq!((line[94 * size + 64], line[126 * size + 64], line[110 * size + 5]), (1.0, 0.0, 0.0));
         assert!(face_mask(&[], size).iter().all(|v| *v == 0.0));
         assert!(above_neckline(&[], size).iter().all(|v| *v == 1.0));
     }

@@ -70,7 +70,8 @@ fn write_vector(out: &mut Vec<u8>, value: &Value) -> usize {
 /// 2×2 image → 1×1 convolution with half-float weight 2 and bias −1 → ReLU → padding by one column.
 fn small_model() -> Vec<u8> {
     use Value::{Byte, Bytes, Int, Ints, Table, Tables};
-    let tensor = |shape: &[i32], kind: i8, buffer: i32| vec![(0, Ints(shape.to_vec())), (1, Byte(kind)), (2, Int(buffer))];
+    let tensor =
+        |shape: &[i32], kind: i8, buffer: i32| vec![(0, Ints(shape.to_vec())), (1, Byte(kind)), (2, Int(buffer))];
     let code = |number: i32| vec![(3, Int(number))];
     let layer = |code: i32, inputs: &[i32], output: i32, options: Option<Vec<(usize, Value)>>| {
         let mut fields = vec![(0, Int(code)), (1, Ints(inputs.to_vec())), (2, Ints(vec![output]))];
@@ -108,11 +109,7 @@ fn small_model() -> Vec<u8> {
         vec![(0, Bytes((-1.0f32).to_le_bytes().to_vec()))],
         vec![(0, Bytes(pads))],
     ];
-    let model = [
-        (1, Tables(vec![code(6), code(3), code(34)])),
-        (2, Tables(vec![graph])),
-        (4, Tables(buffers)),
-    ];
+    let model = [(1, Tables(vec![code(6), code(3), code(34)])), (2, Tables(vec![graph])), (4, Tables(buffers))];
     let mut out = b"\0\0\0\0TFL3".to_vec();
     let root = write(&mut out, &model) as u32;
     out[..4].copy_from_slice(&root.to_le_bytes());
@@ -170,7 +167,7 @@ fn nothing_is_seen_in_noise_and_degenerate_images() {
     let Some(nets) = installed() else { return };
     let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks);
     for (width, height) in [(1, 1), (320, 1), (64, 48)] {
-        let data = (0..width * height * 3).map(|i| (i.wrapping_mul(2_654_435_761) >> 7) as u8).collect();
+        let data = (0..width * height * 3).map(|i: usize| (i.wrapping_mul(2_654_435_761) >> 7) as u8).collect();
         let image = heartian_space::Rgb8Image { width, height, data };
         assert_eq!(follower.next(&image).unwrap(), None);
         assert_eq!(nets.person.probability(&image).unwrap().len(), width * height);
