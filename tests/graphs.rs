@@ -94,6 +94,73 @@ fn the_command_checks_and_prints_its_manual() {
     }
 }
 
+/// `id:status` of each node, from a run's `metrics.json`.
+fn statuses(folder: &Path) -> String {
+    let metrics: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.join("metrics.json")).unwrap()).unwrap();
+    let word =
+        |node: &serde_json::Value| format!("{}:{}", node["id"].as_str().unwrap(), node["status"].as_str().unwrap());
+    metrics["nodes"].as_array().unwrap().iter().map(word).collect::<Vec<_>>().join(" ")
+}
+
+/// All files below a folder.
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            let path = entry.path();
+            if path.is_dir() { folders.push(path) } else { found.push(path) }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// A short measurement: cold, cached, damaged and healed, with another parameter; results in one folder each.
+#[test]
+fn a_measurement_runs_hits_and_heals() {
+    let folder = tempfile::tempdir().unwrap();
+    let measure = root().join("graphs/measure.ron").display().to_string();
+    let run = |more: &[&str]| {
+        let short = ["run", &measure, "--set", "frames.seconds=6", "--set", "frames.size=48"];
+        let output = heartian(folder.path(), &[&short, more].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        folder.path().join(text(&output.stdout).lines().last().unwrap())
+    };
+    let first = run(&[]);
+    assert_eq!(statuses(&first), "frames:ran decode:ran report:ran");
+    let metrics: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(first.join("metrics.json")).unwrap()).unwrap();
+    assert_eq!(metrics["graph"], "measure");
+    assert!(metrics["metrics"]["input.pos.hr_bpm"].as_f64().is_some(), "{metrics}");
+    let delivered = files_below(&first);
+    assert!(delivered.len() > 2, "no report among {delivered:?}");
+
+    let start = std::time::Instant::now();
+    assert_eq!(run(&[]), first);
+    println!("cached rerun, whole process: {:?}", start.elapsed());
+    assert_eq!(statuses(&first), "frames:hit decode:hit report:hit");
+
+    for blob in files_below(&folder.path().join(".heartian/cache/artifacts")) {
+        let mut bytes = std::fs::read(&blob).unwrap();
+        *bytes.last_mut().unwrap() ^= 0x40;
+        std::fs::write(blob, bytes).unwrap();
+    }
+    std::fs::remove_dir_all(&first).unwrap();
+    assert_eq!(run(&[]), first);
+    let healed: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(first.join("metrics.json")).unwrap()).unwrap();
+    assert_eq!(healed["metrics"], metrics["metrics"]);
+    assert_eq!(files_below(&first), delivered);
+
+    let other = run(&["--set", "decode.convention=Paper"]);
+    assert_ne!(other, first);
+    assert!(statuses(&other).starts_with("frames:hit decode:ran"), "{}", statuses(&other));
+    let compared = heartian(folder.path(), &["compare", &first.display().to_string(), &other.display().to_string()]);
+    assert!(text(&compared.stdout).contains("input.pos.hr_bpm"), "{}", text(&compared.stderr));
+}
+
 /// One clear error each, naming node, parameter and remedy; exit code 1 for a graph, 2 for wrong usage.
 #[test]
 fn the_command_refuses_with_reasons() {

@@ -13,8 +13,11 @@ use crate::summary::table;
 pub fn print(kind: Option<&str>) -> Result<ExitCode> {
     let registry = Registry::compiled_in();
     let Some(name) = kind else {
-        let row = |kind: &NodeKind| vec![kind.kind.to_owned(), first_sentence(kind.doc)];
-        print!("{}", table(&registry.iter().map(row).collect::<Vec<_>>(), &[]));
+        let widest = registry.iter().map(|kind| kind.kind.len()).max().unwrap_or(0);
+        for kind in registry.iter() {
+            let name = format!("  {:widest$}  ", kind.kind);
+            print!("{}", wrapped(&name, &first_sentence(kind.doc)));
+        }
         println!("\n`heartian nodes KIND` prints the manual of one.");
         return Ok(ExitCode::SUCCESS);
     };
@@ -31,13 +34,36 @@ fn paragraph(doc: &str) -> String {
     doc.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
+/// Wider lines are broken.
+const WIDTH: usize = 100;
+
+/// `first` and then the words, broken into lines that start below where the words start.
+fn wrapped(first: &str, words: &str) -> String {
+    let indent = first.chars().count();
+    let (mut text, mut column) = (first.to_owned(), indent);
+    for word in words.split_whitespace() {
+        let length = word.chars().count();
+        if column > indent && column + 1 + length > WIDTH {
+            let _ = write!(text, "\n{:indent$}", "");
+            column = indent;
+        } else if column > indent {
+            text.push(' ');
+            column += 1;
+        }
+        text.push_str(word);
+        column += length;
+    }
+    text.push('\n');
+    text
+}
+
 fn first_sentence(doc: &str) -> String {
     let text = paragraph(doc);
     text.split_once(". ").map_or(text.clone(), |(sentence, _)| format!("{sentence}."))
 }
 
 fn page(kind: &NodeKind) -> String {
-    let mut text = format!("{} (revision {})\n\n{}\n", kind.kind, kind.revision, paragraph(kind.doc));
+    let mut text = format!("{} (revision {})\n\n{}", kind.kind, kind.revision, wrapped("", kind.doc));
     for (title, ports) in [("Inputs", kind.inputs), ("Outputs", kind.outputs)] {
         if !ports.is_empty() {
             let _ = write!(text, "\n{title}\n{}", table(&ports.iter().map(port_row).collect::<Vec<_>>(), &[]));
@@ -51,7 +77,7 @@ fn page(kind: &NodeKind) -> String {
     for param in kind.params {
         let default = defaults.get(param.name).map_or(String::new(), as_ron);
         let _ = writeln!(text, "  {}: {default}{}", param.name, bounds(param));
-        let _ = writeln!(text, "      {}", param.text());
+        text.push_str(&wrapped("      ", &param.text()));
     }
     text
 }
@@ -85,6 +111,7 @@ fn as_ron(value: &Value) -> String {
             let fields: Vec<String> = map.iter().map(|(name, value)| format!("{name}: {}", as_ron(value))).collect();
             format!("({})", fields.join(", "))
         }
+        Value::Number(number) if number.is_f64() => number.as_f64().map_or(String::new(), ParamDoc::show),
         other => other.to_string(),
     }
 }

@@ -48,6 +48,12 @@ impl ParamDoc {
         Self { keyed: false, ..self }
     }
 
+    /// A number as it was meant: an `f32` that became an `f64` on its way loses its false digits.
+    pub fn show(number: f64) -> String {
+        let short = number as f32;
+        if f64::from(short) == number { short.to_string() } else { number.to_string() }
+    }
+
     /// The doc comment as one trimmed paragraph.
     pub fn text(&self) -> String {
         self.doc.split_whitespace().collect::<Vec<_>>().join(" ")

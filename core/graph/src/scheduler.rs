@@ -5,7 +5,7 @@
 
 mod execute;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -105,10 +105,7 @@ impl<'a> Run<'a> {
     /// Runs the plan. Never stops for a node's failure without a word about every node.
     pub fn execute(&self, options: &RunOptions) -> Vec<NodeReport> {
         let count = self.plan.nodes.len();
-        let mut last_use: Vec<usize> = (0..count).collect();
-        for (index, node) in self.plan.nodes.iter().enumerate() {
-            node.inputs.iter().flat_map(|input| &input.from).for_each(|(from, _)| last_use[*from] = index);
-        }
+        let last_use = self.last_use();
         let mut state = State { turns: vec![None; count], held: vec![BTreeMap::new(); count], heals: vec![0; count] };
         let mut stopped = false;
         let mut at = 0;
@@ -121,15 +118,23 @@ impl<'a> Run<'a> {
                     stopped |= failed && !options.keep_going;
                     let producers = self.plan.nodes[at].inputs.iter().flat_map(|input| &input.from);
                     for index in producers.map(|(from, _)| *from).chain([at]) {
-                        if last_use[index] <= at {
-                            state.held[index].clear();
-                        }
+                        let used = |port| last_use.get(&(index, port)).is_some_and(|last| *last > at);
+                        state.held[index].retain(|port, _| used(*port));
                     }
                     at += 1;
                 }
             }
         }
         state.turns.into_iter().flatten().collect()
+    }
+
+    /// The last node to read each output; absent when nobody does.
+    fn last_use(&self) -> HashMap<(usize, &'static str), usize> {
+        let nodes = self.plan.nodes.iter().enumerate();
+        let wires = nodes.flat_map(|(index, node)| node.inputs.iter().map(move |input| (index, input)));
+        wires
+            .flat_map(|(index, input)| input.from.iter().map(move |(from, port)| ((*from, port.name), index)))
+            .collect()
     }
 
     /// One node's turn.

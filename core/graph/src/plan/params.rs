@@ -103,7 +103,8 @@ fn out_of_bounds(param: &ParamDoc, value: &Value) -> Option<String> {
                 (true, false) => format!("at least {least}{unit}"),
                 _ => format!("at most {greatest}{unit}"),
             };
-            (!(least..=greatest).contains(&number)).then(|| format!("is {number}; it must be {bounds}"))
+            (!(least..=greatest).contains(&number))
+                .then(|| format!("is {}; it must be {bounds}", ParamDoc::show(number)))
         }
         Value::String(word) if !param.choices.is_empty() && !param.choices.contains(&word.as_str()) => {
             let proposal = suggest(word, param.choices.iter().copied(), "").filter(|text| text.starts_with("did"));
