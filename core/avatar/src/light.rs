@@ -135,8 +135,9 @@ mod tests {
         let fitted = fit_light(&samples);
         let ratio = |normal: Vec3| irradiance(&fitted, normal)[1] / irradiance(&truth, normal)[1];
         let reference = ratio(Vec3::Z);
+        // The ridge holds band 2 back to a sixth or so of this rather contrasty light; without it the bound would be 0.01.
         for sample in samples.iter().step_by(97) {
-            assert!((ratio(sample.normal) / reference - 1.0).abs() < 0.08, "{}", ratio(sample.normal) / reference);
+            assert!((ratio(sample.normal) / reference - 1.0).abs() < 0.16, "{}", ratio(sample.normal) / reference);
         }
     }
 
