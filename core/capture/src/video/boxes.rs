@@ -3,11 +3,15 @@
 //! Plain and fragmented files; edit lists move the start, display matrices turn the picture. Every number is checked
 //! against the bytes that are there: a damaged table is an error, never a panic or a huge allocation.
 
+mod cursor;
+mod fragment;
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
 use super::yuv::Encoding;
+use cursor::{Cursor, Parsed};
 
 /// The movie header of an hour of video is a few megabytes.
 const LARGEST_HEADER: u64 = 256 << 20;
@@ -38,105 +42,6 @@ pub(super) struct Track {
     pub samples: Vec<Sample>,
 }
 
-type Parsed<T> = Result<T, &'static str>;
-
-const CUT: &str = "a box ends before its content";
-
-/// A cursor over one box's content.
-#[derive(Clone, Copy)]
-struct Cursor<'a>(&'a [u8]);
-
-impl<'a> Cursor<'a> {
-    fn take(&mut self, count: usize) -> Parsed<&'a [u8]> {
-        let (head, tail) = self.0.split_at_checked(count).ok_or(CUT)?;
-        self.0 = tail;
-        Ok(head)
-    }
-
-    fn array<const N: usize>(&mut self) -> Parsed<[u8; N]> {
-        self.take(N)?.try_into().map_err(|_| CUT)
-    }
-
-    fn u8(&mut self) -> Parsed<u8> {
-        Ok(self.array::<1>()?[0])
-    }
-
-    fn u16(&mut self) -> Parsed<u16> {
-        Ok(u16::from_be_bytes(self.array()?))
-    }
-
-    fn u32(&mut self) -> Parsed<u32> {
-        Ok(u32::from_be_bytes(self.array()?))
-    }
-
-    fn i32(&mut self) -> Parsed<i32> {
-        Ok(i32::from_be_bytes(self.array()?))
-    }
-
-    fn u64(&mut self) -> Parsed<u64> {
-        Ok(u64::from_be_bytes(self.array()?))
-    }
-
-    /// A 32- or 64-bit number by the box's version.
-    fn word(&mut self, version: u8) -> Parsed<u64> {
-        if version == 1 { self.u64() } else { Ok(u64::from(self.u32()?)) }
-    }
-
-    /// Version and flags.
-    fn full(&mut self) -> Parsed<(u8, u32)> {
-        let word = self.u32()?;
-        Ok(((word >> 24) as u8, word & 0xff_ffff))
-    }
-
-    /// The number of entries of a table, checked against the bytes left.
-    fn count(&mut self, entry_bytes: usize) -> Parsed<usize> {
-        let count = self.u32()? as usize;
-        if count.checked_mul(entry_bytes).is_some_and(|bytes| bytes <= self.0.len()) { Ok(count) } else { Err(CUT) }
-    }
-
-    /// The next child box: kind and content.
-    fn child(&mut self) -> Parsed<Option<([u8; 4], Cursor<'a>)>> {
-        if self.0.len() < 8 {
-            return Ok(None);
-        }
-        let (size, kind) = (self.u32()?, self.array::<4>()?);
-        let content = match size {
-            0 => self.take(self.0.len())?,
-            1 => {
-                let long = usize::try_from(self.u64()?).ok().and_then(|size| size.checked_sub(16)).ok_or(CUT)?;
-                self.take(long)?
-            }
-            size => self.take((size as usize).checked_sub(8).ok_or(CUT)?)?,
-        };
-        Ok(Some((kind, Cursor(content))))
-    }
-
-    /// The first child of a kind.
-    fn find(mut self, wanted: &[u8; 4]) -> Parsed<Option<Cursor<'a>>> {
-        while let Some((kind, content)) = self.child()? {
-            if kind == *wanted {
-                return Ok(Some(content));
-            }
-        }
-        Ok(None)
-    }
-
-    fn path(self, path: &[&[u8; 4]]) -> Parsed<Option<Cursor<'a>>> {
-        let mut at = Some(self);
-        for kind in path {
-            at = match at {
-                Some(content) => content.find(kind)?,
-                None => None,
-            };
-        }
-        Ok(at)
-    }
-
-    fn need(self, path: &[&[u8; 4]], what: &'static str) -> Parsed<Cursor<'a>> {
-        self.path(path)?.ok_or(what)
-    }
-}
-
 /// Reads the first video track of an MP4 file.
 pub(super) fn read_track(file: &mut File) -> Result<Track, String> {
     let (movie, fragments) = headers(file)?;
@@ -148,7 +53,7 @@ pub(super) fn read_track(file: &mut File) -> Result<Track, String> {
             if kind == *b"trak" && is_video(content)? {
                 let mut track = plain_track(content)?;
                 for (offset, fragment) in &fragments {
-                    add_fragment(&mut track, movie, Cursor(fragment), *offset)?;
+                    fragment::add(&mut track, movie, Cursor(fragment), *offset)?;
                 }
                 finish(&mut track, content)?;
                 return Ok(track);
@@ -325,116 +230,6 @@ fn composition_offsets(table: Cursor<'_>, samples: &mut [Sample]) -> Parsed<()> 
     for _ in 0..runs.count(8)? {
         let (count, offset) = (runs.u32()?, runs.i32()?);
         rest.by_ref().take(count as usize).for_each(|sample| sample.shown += i64::from(offset));
-    }
-    Ok(())
-}
-
-/// What a fragment's samples have unless they say otherwise.
-#[derive(Clone, Copy, Default)]
-struct Defaults {
-    duration: u32,
-    size: u32,
-    flags: u32,
-}
-
-fn add_fragment(track: &mut Track, movie: Cursor<'_>, fragment: Cursor<'_>, start: u64) -> Parsed<()> {
-    let extends = movie.path(&[b"mvex"])?;
-    let mut rest = fragment;
-    // Our track is the one whose number the first `trex` of matching id carries; ids are compared below.
-    while let Some((kind, content)) = rest.child()? {
-        if kind == *b"traf" && fragment_is_video(movie, content)? {
-            add_runs(track, extends, content, start)?;
-        }
-    }
-    Ok(())
-}
-
-/// Whether a track fragment belongs to the first video track.
-fn fragment_is_video(movie: Cursor<'_>, fragment: Cursor<'_>) -> Parsed<bool> {
-    let mut header = fragment.need(&[b"tfhd"], "a fragment has no header")?;
-    header.full()?;
-    let wanted = header.u32()?;
-    let mut rest = movie;
-    while let Some((kind, content)) = rest.child()? {
-        if kind == *b"trak" && is_video(content)? {
-            let mut header = content.need(&[b"tkhd"], "its video track has no header")?;
-            let (version, _) = header.full()?;
-            header.take(if version == 1 { 16 } else { 8 })?;
-            return Ok(header.u32()? == wanted);
-        }
-    }
-    Ok(false)
-}
-
-fn track_defaults(extends: Option<Cursor<'_>>, id: u32) -> Parsed<Defaults> {
-    let Some(mut rest) = extends else { return Ok(Defaults::default()) };
-    while let Some((kind, mut content)) = rest.child()? {
-        if kind == *b"trex" {
-            content.full()?;
-            if content.u32()? == id {
-                content.u32()?;
-                return Ok(Defaults { duration: content.u32()?, size: content.u32()?, flags: content.u32()? });
-            }
-        }
-    }
-    Ok(Defaults::default())
-}
-
-fn add_runs(track: &mut Track, extends: Option<Cursor<'_>>, fragment: Cursor<'_>, start: u64) -> Parsed<()> {
-    let mut header = fragment.need(&[b"tfhd"], "a fragment has no header")?;
-    let (_, flags) = header.full()?;
-    let mut defaults = track_defaults(extends, header.u32()?)?;
-    let base = if flags & 1 != 0 { header.u64()? } else { start };
-    if flags & 2 != 0 {
-        header.u32()?;
-    }
-    for (bit, field) in [(8, &mut defaults.duration), (0x10, &mut defaults.size), (0x20, &mut defaults.flags)] {
-        if flags & bit != 0 {
-            *field = header.u32()?;
-        }
-    }
-    let mut time = match fragment.find(b"tfdt")? {
-        Some(mut start) => {
-            let (version, _) = start.full()?;
-            i64::try_from(start.word(version)?).map_err(|_| "a fragment's time is absurd")?
-        }
-        None => 0,
-    };
-    let (mut rest, mut offset) = (fragment, base);
-    while let Some((kind, content)) = rest.child()? {
-        if kind == *b"trun" {
-            add_run(track, content, defaults, (&mut time, &mut offset), base)?;
-        }
-    }
-    Ok(())
-}
-
-fn add_run(
-    track: &mut Track,
-    mut run: Cursor<'_>,
-    defaults: Defaults,
-    (time, offset): (&mut i64, &mut u64),
-    base: u64,
-) -> Parsed<()> {
-    let (_, flags) = run.full()?;
-    let count = run.u32()?;
-    if flags & 1 != 0 {
-        *offset = base.checked_add_signed(i64::from(run.i32()?)).ok_or("a sample's position is absurd")?;
-    }
-    let first_flags = if flags & 4 != 0 { Some(run.u32()?) } else { None };
-    let per_sample = (flags & 0xf00).count_ones() as usize * 4;
-    if per_sample.saturating_mul(count as usize) > run.0.len() || count > 1 << 24 {
-        return Err(CUT);
-    }
-    for i in 0..count {
-        let mut field = |bit: u32, default: u32| if flags & bit != 0 { run.u32() } else { Ok(default) };
-        let (duration, size) = (field(0x100, defaults.duration)?, field(0x200, defaults.size)?);
-        let own = field(0x400, first_flags.filter(|_| i == 0).unwrap_or(defaults.flags))?;
-        let shift = field(0x800, 0)? as i32;
-        let shown = time.saturating_add(i64::from(shift));
-        track.samples.push(Sample { offset: *offset, size, shown, is_sync: own & 0x1_0000 == 0 });
-        *offset = offset.checked_add(u64::from(size)).ok_or("a sample's position is absurd")?;
-        *time = time.checked_add(i64::from(duration)).ok_or("a sample's time is absurd")?;
     }
     Ok(())
 }

@@ -6,7 +6,6 @@ use std::io::{Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use heartian_space::Rgb8Image;
 use rusty_h264_decoder::{DecodeError, Decoder};
 
 use super::boxes::{Sample, Track, read_track};
@@ -30,7 +29,7 @@ pub(super) struct Mp4 {
     next: usize,
     /// Display times still to come, in order; a picture leaves when its time is first.
     schedule: std::vec::IntoIter<i64>,
-    waiting: BTreeMap<i64, Option<Rgb8Image>>,
+    waiting: BTreeMap<i64, Option<Picture>>,
 }
 
 impl Mp4 {
@@ -128,22 +127,7 @@ impl Mp4 {
         self.next += 1;
         let unit = self.access_unit(&sample, number).map_err(Stop::Video)?;
         let picture = decode(&mut self.decoder, &unit).map_err(Stop::Decode)?;
-        let image = match picture {
-            Some(picture) => {
-                let planes = Planes {
-                    width: picture.width,
-                    height: picture.height,
-                    y: &picture.y,
-                    u: &picture.u,
-                    v: &picture.v,
-                };
-                let image = rgb_from_yuv(&planes, self.encoding);
-                let image = image.ok_or_else(|| Stop::Decode(Problem::Damaged("the picture is too small".into())))?;
-                Some(turned(image, self.track.quarter_turns))
-            }
-            None => None,
-        };
-        self.waiting.insert(sample.shown, image);
+        self.waiting.insert(sample.shown, picture);
         Ok(true)
     }
 
@@ -198,13 +182,13 @@ fn decode(decoder: &mut Decoder, unit: &[u8]) -> Result<Option<Picture>, Problem
     }
 }
 
-/// A decoded picture's planes.
-struct Picture {
-    width: usize,
-    height: usize,
-    y: Vec<u8>,
-    u: Vec<u8>,
-    v: Vec<u8>,
+/// A decoded picture's planes, 4:2:0.
+pub(super) struct Picture {
+    pub width: usize,
+    pub height: usize,
+    pub y: Vec<u8>,
+    pub u: Vec<u8>,
+    pub v: Vec<u8>,
 }
 
 /// The H.264 configuration record (ISO/IEC 14496-15, 5.3.3.1).
@@ -231,8 +215,9 @@ impl Configuration {
     }
 }
 
-impl FrameSource for Mp4 {
-    fn next_frame(&mut self) -> Result<Option<TimedFrame>, VideoError> {
+impl Mp4 {
+    /// The next picture in display order and its time in ticks.
+    pub(super) fn next_picture(&mut self) -> Result<Option<(i64, Picture)>, VideoError> {
         while let Some(&shown) = self.schedule.as_slice().first() {
             while !self.waiting.contains_key(&shown) {
                 let number = self.next;
@@ -247,16 +232,29 @@ impl FrameSource for Mp4 {
                 }
             }
             self.schedule.next();
-            let image = self.waiting.remove(&shown).flatten();
+            let picture = self.waiting.remove(&shown).flatten();
             // Pictures before the one due were shown before the start.
             self.waiting = self.waiting.split_off(&shown);
-            if let Some(image) = image
+            if let Some(picture) = picture
                 && shown >= 0
             {
-                return Ok(Some(TimedFrame { seconds: shown as f64 / f64::from(self.track.ticks_per_second), image }));
+                return Ok(Some((shown, picture)));
             }
         }
         Ok(None)
+    }
+}
+
+impl FrameSource for Mp4 {
+    fn next_frame(&mut self) -> Result<Option<TimedFrame>, VideoError> {
+        let Some((shown, picture)) = self.next_picture()? else { return Ok(None) };
+        let Picture { width, height, y, u, v } = &picture;
+        let planes = Planes { width: *width, height: *height, y, u, v };
+        let Some(image) = rgb_from_yuv(&planes, self.encoding) else {
+            return Err(self.damaged(self.next, Problem::Damaged("the picture is too small".into())));
+        };
+        let seconds = shown as f64 / f64::from(self.track.ticks_per_second);
+        Ok(Some(TimedFrame { seconds, image: turned(image, self.track.quarter_turns) }))
     }
 
     fn frame_count(&self) -> Option<usize> {
