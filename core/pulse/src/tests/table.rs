@@ -1,15 +1,22 @@
 //! Seconds against error, printed: `cargo test --release -p heartian-pulse -- --ignored --nocapture seconds_against`.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use std::time::Instant;
-
 use super::*;
 use crate::{Evaluation, Parameterization, ResidualOptions, Start, fit_residual, mean_offsets};
+
+/// Processor time used so far by all threads, seconds, so that a busy machine does not blur the table; 0 where unknown.
+fn cpu_seconds() -> f64 {
+    let Ok(stat) = std::fs::read_to_string("/proc/self/stat") else { return 0.0 };
+    let fields: Vec<f64> =
+        stat.rsplit(')').next().unwrap().split_whitespace().map(|f| f.parse().unwrap_or(0.0)).collect();
+    // User and system time, in ticks of 10 ms.
+    (fields[11] + fields[12]) / 100.0
+}
 
 #[test]
 #[ignore = "prints a table; takes minutes"]
 fn seconds_against_error_of_the_phase_fit() {
-    println!("clip | start, parameterization, steps, calm | s | phase rms rad, pearson, bpm error");
+    println!("clip | start, parameterization, steps, calm | processor s | phase rms rad, pearson, bpm error");
     let cases = [
         (Start::Beats, Parameterization::Cumulative, 0, 100.0),
         (Start::Beats, Parameterization::Cumulative, 1000, 100.0),
@@ -31,9 +38,9 @@ fn seconds_against_error_of_the_phase_fit() {
 }
 
 fn report(name: &str, reference: &Reference, options: &PhaseOptions, label: &str) {
-    let begin = Instant::now();
+    let begin = cpu_seconds();
     let (pulse, report) = fit(reference, options).unwrap();
-    let seconds = begin.elapsed().as_secs_f64();
+    let seconds = cpu_seconds() - begin;
     let error =
         read_bpm(&pulse.fundamental, reference.rate_hertz()) - read_bpm(&reference.waveform, reference.rate_hertz());
     println!(
@@ -82,7 +89,7 @@ fn clips() -> Vec<(String, Reference)> {
 #[test]
 #[ignore = "prints a table; takes minutes"]
 fn seconds_against_error_of_the_residual_fit() {
-    println!("clip | steps width patches | s train+eval | pearson before after | limited");
+    println!("clip | steps width patches | processor s train+eval | pearson before after | limited");
     let skin = skin(6000);
     for (name, reference) in clips() {
         if reference.len() > 2000 {
@@ -93,15 +100,15 @@ fn seconds_against_error_of_the_residual_fit() {
             [(100, 128, 4), (300, 128, 4), (1000, 128, 4), (300, 32, 4), (300, 64, 4), (300, 128, 1), (300, 128, 8)]
         {
             let options = ResidualOptions { steps, width, patches, ..ResidualOptions::default() };
-            let begin = Instant::now();
+            let begin = cpu_seconds();
             let (fitted, modulation) = fit_residual(&pulse, &skin, None, &options, &mut onwards).unwrap();
-            let seconds = begin.elapsed().as_secs_f64();
-            let begin = Instant::now();
+            let seconds = cpu_seconds() - begin;
+            let begin = cpu_seconds();
             let (exact, _) = crate::evaluate_all(&fitted, &skin, &Evaluation::Exact).unwrap();
-            let exact_seconds = begin.elapsed().as_secs_f64();
-            let begin = Instant::now();
+            let exact_seconds = cpu_seconds() - begin;
+            let begin = cpu_seconds();
             let _ = crate::evaluate_all(&fitted, &skin, &options.evaluation).unwrap();
-            let fast_seconds = begin.elapsed().as_secs_f64();
+            let fast_seconds = cpu_seconds() - begin;
             let apart = exact.offsets.iter().zip(&modulation.offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             let read = read_bpm(&mean_offsets(&modulation), reference.rate_hertz());
             let error = read - read_bpm(&reference.waveform, reference.rate_hertz());
