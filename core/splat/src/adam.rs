@@ -4,6 +4,7 @@
 //! 1e-15: with the latter any underflowing gradient makes a full-size step, and hidden Gaussians drift at random.
 
 use crate::error::{SplatError, expect_length};
+use crate::lanes::{Lanes, MAX_LANES, dispatched};
 use rayon::prelude::*;
 
 /// Elements of a parallel task.
@@ -65,23 +66,10 @@ impl Adam {
         let root = corrected(beta2).sqrt();
         let (rate, guard) =
             ((f64::from(learning_rate) * root / corrected(beta1)) as f32, (f64::from(epsilon) * root) as f32);
+        let scales = Scales { beta1, beta2, rate, guard };
         let chunks = parameters.par_chunks_mut(CHUNK).zip(gradients.par_chunks(CHUNK));
         let chunks = chunks.zip(self.first.par_chunks_mut(CHUNK)).zip(self.second.par_chunks_mut(CHUNK));
-        Ok(chunks
-            .map(|(((p, g), m), v)| {
-                let mut left_out = 0;
-                for (((p, &g), m), v) in p.iter_mut().zip(g).zip(m).zip(v) {
-                    // A square that overflows would stop its parameter for good, so it counts as not finite.
-                    let usable = (g * g).is_finite();
-                    left_out += usize::from(!usable);
-                    let new_m = *m + (1.0 - beta1) * (g - *m);
-                    let new_v = *v + (1.0 - beta2) * (g * g - *v);
-                    let step = rate * new_m / (new_v.sqrt() + guard);
-                    (*m, *v, *p) = if usable { (new_m, new_v, *p - step) } else { (*m, *v, *p) };
-                }
-                left_out
-            })
-            .sum())
+        Ok(chunks.map(|(((p, g), m), v)| descend(scales, p, g, m, v)).sum())
     }
 
     /// Rearranges the moments after density control: row `i` of the new moments (rows of `stride` values) is old row
@@ -108,6 +96,69 @@ impl Adam {
         }
     }
 }
+
+/// One step's constants: decay rates, and learning rate and guard with the bias corrections in them.
+#[derive(Clone, Copy)]
+struct Scales {
+    beta1: f32,
+    beta2: f32,
+    rate: f32,
+    guard: f32,
+}
+
+/// # Safety
+/// Inside a function with the features of `V`.
+#[inline(always)]
+unsafe fn descend_lanes<V: Lanes>(scales: Scales, p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32]) -> usize {
+    let n = p.len().min(g.len()).min(m.len()).min(v.len());
+    let whole = n / V::N * V::N;
+    let mut used = 0;
+    for at in (0..whole).step_by(V::N) {
+        // SAFETY: all four slices hold N values from `at`; V's features are here by contract.
+        let block = unsafe {
+            [p.as_mut_ptr().add(at), g.as_ptr().add(at).cast_mut(), m.as_mut_ptr().add(at), v.as_mut_ptr().add(at)]
+        };
+        // SAFETY: as above; the gradient is only read.
+        used += unsafe { descend_block::<V>(scales, block) };
+    }
+    // The last ones through a padded copy whose padding has zero gradient, and is not counted.
+    let mut rest = [[0.0f32; MAX_LANES]; 4];
+    for (copy, from) in rest.iter_mut().zip([&*p, g, &*m, &*v]) {
+        copy[..n - whole].copy_from_slice(&from[whole..n]);
+    }
+    // SAFETY: the copies hold MAX_LANES values.
+    used += unsafe { descend_block::<V>(scales, rest.each_mut().map(|row| row.as_mut_ptr())) };
+    used -= V::N - (n - whole);
+    for (copy, to) in [&rest[0], &rest[2], &rest[3]].into_iter().zip([p, m, v]) {
+        to[whole..n].copy_from_slice(&copy[..n - whole]);
+    }
+    n - used
+}
+
+/// Steps `N` parameters (parameter, gradient, first and second moment); gives how many gradients were finite.
+///
+/// # Safety
+/// Inside a function with the features of `V`; the pointers give `N` values each, all but the gradient to be written.
+#[inline(always)]
+unsafe fn descend_block<V: Lanes>(scales: Scales, [p, g, m, v]: [*mut f32; 4]) -> usize {
+    // SAFETY: the caller's contract.
+    unsafe {
+        let gradient = V::load(g);
+        let square = gradient.mul(gradient);
+        // A square that overflows would stop its parameter for good, so it counts as not finite.
+        let usable = V::splat(f32::MAX).ge(square);
+        let (old_p, old_m, old_v) = (V::load(p), V::load(m), V::load(v));
+        let new_m = gradient.sub(old_m).mul_add(V::splat(1.0 - scales.beta1), old_m);
+        let new_v = square.sub(old_v).mul_add(V::splat(1.0 - scales.beta2), old_v);
+        let step = V::splat(scales.rate).mul(new_m).div(new_v.sqrt().add(V::splat(scales.guard)));
+        V::select(usable, old_p.sub(step), old_p).store(p);
+        V::select(usable, new_m, old_m).store(m);
+        V::select(usable, new_v, old_v).store(v);
+        V::bits(usable).count_ones() as usize
+    }
+}
+
+dispatched! { fn descend(scales: Scales, p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32]) -> usize = descend_lanes; }
 
 #[cfg(test)]
 mod tests {

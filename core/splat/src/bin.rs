@@ -3,6 +3,7 @@
 //! reaches a row of the tile's pixel centres inside the tile's columns (up to [`SLACK_PX`]).
 
 use crate::project::Splat;
+use rayon::prelude::*;
 
 /// Tile width, pixels: wider than high, because the lanes run along rows.
 pub(crate) const TILE_WIDTH: usize = 32;
@@ -66,6 +67,12 @@ fn for_each_tile_row(splat: &Splat, [width, height]: [usize; 2], mut visit: impl
     let [mx, my] = splat.mean;
     let [extent_x, extent_y] = splat.extent();
     let (first, last) = tile_range(my - extent_y, my + extent_y, height, TILE_HEIGHT);
+    let (left, right) = tile_range(mx - extent_x, mx + extent_x, width, TILE_WIDTH);
+    if left >= right {
+        // One column of tiles, or none: every row of the range has its part of the ellipse there.
+        (first..=last).filter(|_| left == right).for_each(|row| visit(row, left, right));
+        return;
+    }
     let variance_y = 1.0 / splat.precision_y;
     // dy of the ellipse's rightmost point; its leftmost one mirrors it.
     let dy_right = splat.shear * variance_y * splat.reach / extent_x.max(f32::MIN_POSITIVE);
@@ -86,39 +93,53 @@ fn for_each_tile_row(splat: &Splat, [width, height]: [usize; 2], mut visit: impl
     }
 }
 
+/// Splats of a parallel task.
+const CHUNK: usize = 1024;
+
 /// Bins splats given in depth order.
 pub(crate) fn bin(splats: &[Splat], size: [usize; 2]) -> Tiles {
     let (columns, rows) = (size[0].div_ceil(TILE_WIDTH), size[1].div_ceil(TILE_HEIGHT));
-    let mut counts = vec![0u32; columns * rows + 1];
-    let mut place_offsets = Vec::with_capacity(splats.len() + 1);
-    let mut tile_of_place: Vec<u32> = Vec::with_capacity(4 * splats.len());
-    for splat in splats {
-        place_offsets.push(tile_of_place.len() as u32);
-        for_each_tile_row(splat, size, |row, from, to| {
-            for column in from..=to {
-                let tile = row * columns + column;
-                counts[tile] += 1;
-                tile_of_place.push(tile as u32);
-            }
-        });
+    let reached: Vec<(Vec<u32>, Vec<u32>)> =
+        splats.par_chunks(CHUNK).map(|chunk| reached(chunk, size, columns)).collect();
+    let total = reached.iter().map(|(tiles, _)| tiles.len()).sum();
+    let (mut place_offsets, mut places) = (Vec::with_capacity(splats.len() + 1), Vec::with_capacity(total));
+    for (tiles, ends) in &reached {
+        place_offsets
+            .extend(std::iter::once(0).chain(ends.iter().copied()).take(ends.len()).map(|e| e + places.len() as u32));
+        places.extend_from_slice(tiles);
     }
-    place_offsets.push(tile_of_place.len() as u32);
+    place_offsets.push(places.len() as u32);
+    let mut next = vec![0u32; columns * rows + 1];
+    for &tile in &places {
+        next[tile as usize] += 1;
+    }
     let mut sum = 0;
-    for count in &mut counts {
+    for count in &mut next {
         sum += std::mem::replace(count, sum);
     }
-    let offsets = counts.clone();
-    let mut entries = vec![0u32; tile_of_place.len()];
-    let mut places = tile_of_place;
+    let offsets = next.clone();
+    let mut entries = vec![0u32; places.len()];
     for (i, range) in place_offsets.windows(2).enumerate() {
         for place in &mut places[range[0] as usize..range[1] as usize] {
-            let next = &mut counts[*place as usize];
+            let next = &mut next[*place as usize];
             entries[*next as usize] = i as u32;
             *place = *next;
             *next += 1;
         }
     }
     Tiles { columns, rows, offsets, entries, place_offsets, places }
+}
+
+/// The tiles that splats reach, one splat after another, and where each splat's tiles end.
+fn reached(splats: &[Splat], size: [usize; 2], columns: usize) -> (Vec<u32>, Vec<u32>) {
+    let (mut tiles, mut ends) = (Vec::with_capacity(4 * splats.len()), Vec::with_capacity(splats.len()));
+    for splat in splats {
+        for_each_tile_row(splat, size, |row, from, to| {
+            tiles.extend((from..=to).map(|column| (row * columns + column) as u32));
+        });
+        ends.push(tiles.len() as u32);
+    }
+    (tiles, ends)
 }
 
 #[cfg(test)]

@@ -7,9 +7,9 @@
 use crate::bin::{TILE_HEIGHT, TILE_WIDTH, Tiles, bin, order_by_depth};
 use crate::error::{SplatError, expect_length};
 use crate::gaussians::{Gaussians, MAX_CHANNELS, SceneGradients};
-use crate::project::{RasterOptions, Splat, SplatGradient, View, project, project_backward};
+use crate::lanes::MAX_LANES;
+use crate::project::{GeometryGradient, RasterOptions, Splat, SplatGradient, View, project, project_backward};
 use crate::raster::{self, PlaneGradients, PlanePointers, RECORD_HEAD, SLOT_HEAD, TileJob};
-use glam::Vec2;
 use heartian_space::Camera;
 use rayon::prelude::*;
 
@@ -130,13 +130,15 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
     }
     let channels = kernel_channels(channels);
     let view = View::new(camera, options);
-    let drawn: Vec<(u32, Splat)> = (0..gaussians.len().div_ceil(CHUNK))
+    let drawn: Vec<Vec<(u32, Splat)>> = (0..gaussians.len().div_ceil(CHUNK))
         .into_par_iter()
-        .flat_map_iter(|chunk| {
-            let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(gaussians.len());
-            range.filter_map(|i| project(&view, gaussians, i).map(|splat| (i as u32, splat)))
+        .map(|chunk| {
+            let mut found = Vec::with_capacity(CHUNK);
+            project(&view, gaussians, chunk * CHUNK..((chunk + 1) * CHUNK).min(gaussians.len()), &mut found);
+            found
         })
         .collect();
+    let drawn = drawn.concat();
     let depths: Vec<f32> = drawn.iter().map(|(_, splat)| splat.depth).collect();
     let order = order_by_depth(&depths);
     let splats: Vec<Splat> = order.iter().map(|&i| drawn[i as usize].1).collect();
@@ -322,7 +324,7 @@ fn slots<const C: usize>(prepared: &Prepared, frame: &Frame, gradient: &FrameGra
 
 /// Adds up each splat's slots in the order of the tiles, and carries the sums back through the projection.
 fn gather(gaussians: &Gaussians, prepared: &Prepared, slots: &[f32]) -> SceneGradients {
-    let (n, channels, stride) = (gaussians.len(), gaussians.channels, SLOT_HEAD + prepared.channels);
+    let (n, channels) = (gaussians.len(), gaussians.channels);
     let view = View::new(&prepared.camera, &prepared.options);
     let mut splat_of_gaussian = vec![u32::MAX; n];
     for (splat, &i) in prepared.gaussian_of_splat.iter().enumerate() {
@@ -347,32 +349,72 @@ fn gather(gaussians: &Gaussians, prepared: &Prepared, slots: &[f32]) -> SceneGra
         .zip(out.radii_px.par_chunks_mut(CHUNK));
     rows.enumerate().for_each(
         |(chunk, (((((((means, scales), rotations), opacities), features), means_px), weights), radii))| {
+            let mut batch = Batch::default();
             for k in 0..means.len() {
                 let i = chunk * CHUNK + k;
                 let at = splat_of_gaussian[i] as usize;
-                let Some(splat) = prepared.splats.get(at) else { continue };
-                let range = prepared.tiles.place_offsets[at] as usize..prepared.tiles.place_offsets[at + 1] as usize;
-                let mut sum = [0.0f32; SLOT_HEAD + MAX_CHANNELS];
-                for &place in &prepared.tiles.places[range] {
-                    for (s, v) in sum.iter_mut().zip(&slots[place as usize * stride..][..stride]) {
-                        *s += v;
-                    }
+                if let Some(splat) = prepared.splats.get(at) {
+                    let sum = prepared.slot_sum(at, slots);
+                    let on_depth = if prepared.options.depth { sum[SLOT_HEAD + channels] } else { 0.0 };
+                    let on_splat = from_moments(splat, &sum, on_depth);
+                    opacities[k] = if gaussians.opacities[i] <= 1.0 { sum[0] / splat.opacity } else { 0.0 };
+                    features[k * channels..][..channels].copy_from_slice(&sum[SLOT_HEAD..][..channels]);
+                    means_px[k] = on_splat.mean;
+                    weights[k] = sum[6];
+                    radii[k] = splat.extent()[0].max(splat.extent()[1]);
+                    batch.push(i as u32, *splat, on_splat);
                 }
-                let on_depth = if prepared.options.depth { sum[SLOT_HEAD + channels] } else { 0.0 };
-                let on_splat = from_moments(splat, &sum, on_depth);
-                let geometry = project_backward(&view, gaussians, i, splat, &on_splat);
-                means[k] = geometry.mean.to_array();
-                scales[k] = geometry.scale.to_array();
-                rotations[k] = geometry.rotation;
-                opacities[k] = if gaussians.opacities[i] <= 1.0 { sum[0] / splat.opacity } else { 0.0 };
-                features[k * channels..][..channels].copy_from_slice(&sum[SLOT_HEAD..][..channels]);
-                means_px[k] = on_splat.mean.to_array();
-                weights[k] = sum[6];
-                radii[k] = splat.extent()[0].max(splat.extent()[1]);
+                if batch.is_full() || k + 1 == means.len() {
+                    batch.flush(&view, gaussians, |i, g| {
+                        let k = i as usize - chunk * CHUNK;
+                        (means[k], scales[k], rotations[k]) = (g.mean, g.scale, g.rotation);
+                    });
+                }
             }
         },
     );
     out
+}
+
+impl Prepared {
+    /// The sum of a splat's slots, in the order of its tiles.
+    fn slot_sum(&self, splat: usize, slots: &[f32]) -> [f32; SLOT_HEAD + MAX_CHANNELS] {
+        let stride = SLOT_HEAD + self.channels;
+        let range = self.tiles.place_offsets[splat] as usize..self.tiles.place_offsets[splat + 1] as usize;
+        let mut sum = [0.0f32; SLOT_HEAD + MAX_CHANNELS];
+        for &place in &self.tiles.places[range] {
+            for (s, v) in sum.iter_mut().zip(&slots[place as usize * stride..][..stride]) {
+                *s += v;
+            }
+        }
+        sum
+    }
+}
+
+/// Splats on their way back through the projection, as many as fit a block of lanes.
+#[derive(Default)]
+struct Batch {
+    indices: Vec<u32>,
+    splats: Vec<(Splat, SplatGradient)>,
+}
+
+impl Batch {
+    fn push(&mut self, index: u32, splat: Splat, gradient: SplatGradient) {
+        self.indices.push(index);
+        self.splats.push((splat, gradient));
+    }
+
+    fn is_full(&self) -> bool {
+        self.indices.len() == MAX_LANES
+    }
+
+    fn flush(&mut self, view: &View, gaussians: &Gaussians, mut give: impl FnMut(u32, &GeometryGradient)) {
+        let mut out = [GeometryGradient::default(); MAX_LANES];
+        project_backward(view, gaussians, &self.indices, &self.splats, &mut out);
+        self.indices.iter().zip(&out).for_each(|(&i, g)| give(i, g));
+        self.indices.clear();
+        self.splats.clear();
+    }
 }
 
 /// Gradients of `p = −½·u²/v − ½·e·dy²`, `u = dx − s·dy`, from the moments of its gradient.
@@ -380,7 +422,7 @@ fn from_moments(splat: &Splat, sum: &[f32], depth: f32) -> SplatGradient {
     let a = 1.0 / splat.variance;
     let (s, e) = (splat.shear, splat.precision_y);
     SplatGradient {
-        mean: Vec2::new(a * sum[1], e * sum[3] - a * s * sum[1]),
+        mean: [a * sum[1], e * sum[3] - a * s * sum[1]],
         variance: 0.5 * a * a * sum[2],
         shear: a * sum[4],
         precision_y: -0.5 * sum[5],

@@ -115,6 +115,36 @@ impl<V: Lanes> Wide<V> {
             Self(V::splat(1.0).keep(mask))
         }
     }
+    /// 1 where `low ≤ self ≤ high`, else 0.
+    #[inline(always)]
+    pub fn within(self, low: f32, high: f32) -> Self {
+        // SAFETY: a value exists only where V's features are present.
+        unsafe {
+            let mask = V::both(self.0.ge(V::splat(low)), V::splat(high).ge(self.0));
+            Self(V::splat(1.0).keep(mask))
+        }
+    }
+    /// `a` where `choice` is at least ½, else `b`; what is not chosen may be anything.
+    #[inline(always)]
+    pub fn pick(choice: Self, a: Self, b: Self) -> Self {
+        // SAFETY: a value exists only where V's features are present.
+        unsafe { Self(V::select(choice.0.ge(V::splat(0.5)), a.0, b.0)) }
+    }
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        self.max(-self)
+    }
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        // SAFETY: a value exists only where V's features are present.
+        Self(unsafe { self.0.max(other.0) })
+    }
+    /// Base-2 logarithm of positive normal values.
+    #[inline(always)]
+    pub fn log2(self) -> Self {
+        // SAFETY: a value exists only where V's features are present.
+        Self(unsafe { self.0.log2() })
+    }
     /// 1 where `self ≥ bound`, else 0.
     #[inline(always)]
     pub fn at_least(self, bound: f32) -> Self {
