@@ -9,13 +9,14 @@ use rayon::prelude::*;
 use super::frame::{self, EXPRESSION, JAW, Seen, Setting, Shared, State};
 use super::linear::{cholesky, solve};
 
-/// Standard deviation of the change over a thirtieth of a second: radians of turn, metres across and along the line of
+/// Tighter than motion alone would ask: a landmark network errs on the whole face at once, so its landmarks say less than
+/// as many independent ones. Standard deviation of the change over a thirtieth of a second: radians of turn, metres across and along the line of
 /// sight, radians of jaw, expression units, lid units.
-const TURN: f64 = 0.012;
-const SHIFT: f64 = 0.0025;
-const JAW_CHANGE: f64 = 0.035;
-const EXPRESSION_CHANGE: f64 = 0.12;
-const LID_CHANGE: f64 = 0.35;
+const TURN: f64 = 0.006;
+const SHIFT: f64 = 0.0012;
+const JAW_CHANGE: f64 = 0.022;
+const EXPRESSION_CHANGE: f64 = 0.07;
+const LID_CHANGE: f64 = 0.30;
 
 /// Weights of the squared change of each unknown from one frame to the next.
 pub fn change_weights(unknowns: usize, seconds: f64, smoothness: f64) -> Vec<f64> {
