@@ -370,14 +370,13 @@ unsafe fn backward_tile<V: Lanes, const C: usize>(job: &TileJob, picture: &Plane
     slots[done * (SLOT_HEAD + C)..].fill(0.0);
 }
 
+/// Told of each entry of a tile and of its (x, y, weight) pixels.
+type Visit<'a> = &'a mut dyn FnMut(u32, &mut dyn Iterator<Item = (usize, usize, f32)>);
+
 /// Calls `visit(splat, its pixels as (x, y, α·T))` for each entry of a tile that shows, front to back.
 ///
 /// Plain lanes: this runs once a frame, not in a fitting loop.
-pub(crate) fn weights(
-    job: &TileJob,
-    channels: usize,
-    visit: &mut dyn FnMut(u32, &mut dyn Iterator<Item = (usize, usize, f32)>),
-) {
+pub(crate) fn weights(job: &TileJob, channels: usize, visit: Visit<'_>) {
     let stride = RECORD_HEAD + channels;
     let mut transmittance = [-1.0f32; BUFFER];
     for row in transmittance.chunks_exact_mut(ROW_STRIDE).take(job.size[1]) {

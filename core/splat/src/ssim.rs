@@ -46,7 +46,7 @@ pub(crate) fn similarity(
 ) -> Result<f64, SplatError> {
     let pixels = size[0] * size[1];
     expect_length("the second picture", a.len(), b.len())?;
-    if pixels == 0 || a.is_empty() || a.len() % pixels != 0 {
+    if pixels == 0 || a.is_empty() || !a.len().is_multiple_of(pixels) {
         return Err(SplatError::Length { what: "a picture (whole planes)", expected: pixels, found: a.len() });
     }
     let scale = 1.0 / a.len() as f64;
