@@ -82,7 +82,7 @@ Examples:
   heartian run graphs/full.ron
   heartian run graphs/full.ron --set frames.source=../me.mp4 --set frames.seconds=24
   heartian run graphs/full.ron --target avatar
-  heartian run graphs/measure.ron --out /tmp/measured
+  heartian run graphs/measure.ron --out runs/measured
 
 Results lie in runs/NAME-XXXXXXXX, the same folder for the same graph, parameters and files:
 metrics.json, run.json, reports and exported clips. Ctrl-C stops after keeping what is finished.")]

@@ -186,7 +186,7 @@ impl Run<'_> {
             return wrong("the filter is not 1×h×w×c");
         };
         if channels != input.channels {
-            return wrong("a depth multiplier other than 1 is not implemented");
+            return wrong("only a depth multiplier of 1 is supported");
         }
         let (window, size) = place(steps, [kh, kw], &input)?;
         limit_work(&[size[0], size[1], channels, kh, kw])?;
@@ -270,7 +270,7 @@ impl Run<'_> {
             || other.len() == 1
             || (value.shape.last() == Some(&other.len()) && shape.last() == Some(&other.len()));
         if !repeats || other.is_empty() {
-            return wrong("this broadcast is not implemented");
+            return wrong("this broadcast is not supported");
         }
         for chunk in value.data.chunks_exact_mut(other.len()) {
             if swap {
