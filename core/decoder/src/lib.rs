@@ -1,0 +1,18 @@
+//! Neural pulse decoders: TS-CAN, PhysFormer, FactorizePhys and PhysNet, run on the CPU from the published weight files.
+//!
+//! A [`Network`] is read from a `.pth` or `.safetensors` file ([`Network::load`]), says what it wants to be fed
+//! ([`InputForm`]) and turns a [`Batch`] of frames into one sample a frame. Weight files are foreign: they are read within
+//! bounds, pickles by an allow-list and never executed, and every disagreement with the architecture is an error that names
+//! the tensor. Results are the same at any number of threads.
+
+mod architecture;
+mod error;
+mod input;
+mod network;
+mod weights;
+
+pub use architecture::Architecture;
+pub use error::DecoderError;
+pub use input::{Batch, InputForm, Normalisation, Output};
+pub use network::{Factorisation, Network, Options, SegmentEdge};
+pub use weights::{Tensor, Weights};
