@@ -43,7 +43,12 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode> {
     let cancel = Cancel::default();
     stop_on_interrupt(&cancel);
     let terminal = Arc::new(Terminal::new());
-    let options = RunOptions { cancel: cancel.clone(), observer: terminal.clone(), keep_going: arguments.keep_going };
+    let options = RunOptions {
+        cancel: cancel.clone(),
+        observer: terminal.clone(),
+        keep_going: arguments.keep_going,
+        ..RunOptions::default()
+    };
     let run = Run::prepare(&plan, &cache);
     let fingerprint = run.fingerprint();
     let short = &fingerprint.to_string()[..8];

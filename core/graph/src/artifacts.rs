@@ -1,6 +1,7 @@
 //! Artifacts of any type on their way between nodes. Immutable once made, shared by reference count.
 
 use std::any::Any;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -11,15 +12,25 @@ use crate::node::NodeError;
 /// An artifact whose type is known by name.
 #[derive(Clone)]
 pub struct AnyArtifact {
-    value: Arc<dyn Any + Send + Sync>,
     artifact: ArtifactType,
-    encode: fn(&dyn Any) -> Result<Vec<u8>, ArtifactError>,
+    form: Form,
+}
+
+#[derive(Clone)]
+enum Form {
+    Value { value: Arc<dyn Any + Send + Sync>, encode: fn(&dyn Any) -> Result<Vec<u8>, ArtifactError> },
+    Encoded(Arc<Vec<u8>>),
 }
 
 impl AnyArtifact {
     /// Wraps a value.
     pub fn new<T: Artifact>(value: T) -> Self {
-        Self { value: Arc::new(value), artifact: T::TYPE, encode: encode::<T> }
+        Self { artifact: T::TYPE, form: Form::Value { value: Arc::new(value), encode: encode::<T> } }
+    }
+
+    /// An artifact in its on-disk form, of whatever type; who reads it as a value decodes it.
+    pub fn encoded(artifact: ArtifactType, bytes: Vec<u8>) -> Self {
+        Self { artifact, form: Form::Encoded(Arc::new(bytes)) }
     }
 
     /// Reads a value back from its on-disk form.
@@ -37,15 +48,31 @@ impl AnyArtifact {
 
     /// The value, if it is a `T`.
     pub fn downcast<T: Artifact>(&self) -> Option<Arc<T>> {
-        self.value.clone().downcast().ok()
+        self.read().ok()
+    }
+
+    /// The value, decoded if it is still in its on-disk form.
+    fn read<T: Artifact>(&self) -> Result<Arc<T>, ArtifactError> {
+        let other = || {
+            let (found, wanted) = (self.artifact.name, T::TYPE.name);
+            ArtifactError::Invalid(format!("it is `{found}` where the node reads `{wanted}`"))
+        };
+        match &self.form {
+            Form::Value { value, .. } => value.clone().downcast().map_err(|_| other()),
+            Form::Encoded(_) if self.artifact != T::TYPE => Err(other()),
+            Form::Encoded(bytes) => Ok(Arc::new(T::from_bundle(BundleReader::new(bytes)?)?)),
+        }
     }
 
     /// The on-disk form.
     ///
     /// # Errors
     /// When the value cannot be expressed.
-    pub fn to_bytes(&self) -> Result<Vec<u8>, ArtifactError> {
-        (self.encode)(&*self.value)
+    pub fn to_bytes(&self) -> Result<Cow<'_, [u8]>, ArtifactError> {
+        match &self.form {
+            Form::Value { value, encode } => encode(&**value).map(Cow::Owned),
+            Form::Encoded(bytes) => Ok(Cow::Borrowed(bytes)),
+        }
     }
 }
 
@@ -96,13 +123,15 @@ impl Inputs {
     /// # Errors
     /// When one is of another type.
     pub fn many<T: Artifact>(&self, port: &str) -> Result<Vec<Arc<T>>, NodeError> {
-        let cast = |artifact: &AnyArtifact| {
-            artifact.downcast().ok_or_else(|| {
-                let (found, wanted) = (artifact.artifact.name, T::TYPE.name);
-                NodeError::new(format!("input `{port}` carries `{found}` where the node reads `{wanted}`"))
-            })
+        let read = |artifact: &AnyArtifact| {
+            artifact.read().map_err(|error| NodeError::new(format!("input `{port}` cannot be read: {error}")))
         };
-        self.ports.get(port).map_or(Ok(Vec::new()), |values| values.iter().map(cast).collect())
+        self.ports.get(port).map_or(Ok(Vec::new()), |values| values.iter().map(read).collect())
+    }
+
+    /// Everything wired, by port, in the order of their names.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &[AnyArtifact])> {
+        self.ports.iter().map(|(port, values)| (port.as_str(), values.as_slice()))
     }
 }
 
@@ -119,8 +148,13 @@ impl Outputs {
     }
 
     /// Adds the value of a port; the last of equal names wins.
-    pub fn put<T: Artifact>(mut self, port: &'static str, value: T) -> Self {
-        self.ports.insert(port, AnyArtifact::new(value));
+    pub fn put<T: Artifact>(self, port: &'static str, value: T) -> Self {
+        self.put_any(port, AnyArtifact::new(value))
+    }
+
+    /// Adds a value whose type is known by name only.
+    pub fn put_any(mut self, port: &'static str, artifact: AnyArtifact) -> Self {
+        self.ports.insert(port, artifact);
         self
     }
 

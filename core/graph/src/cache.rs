@@ -11,10 +11,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-
 use crate::digest::Digest;
+use serde::{Deserialize, Serialize};
 
 /// Abandoned temporary files older than this are swept.
 const STALE: Duration = Duration::from_secs(24 * 3600);
@@ -34,8 +32,9 @@ pub struct Record {
     pub warnings: Vec<String>,
     /// How long it ran.
     pub seconds: f64,
-    /// What the key is the digest of, to explain hits and misses.
-    pub preimage: Value,
+    /// What the key is the digest of, a JSON text, to explain hits and misses.
+    #[serde(skip)]
+    pub preimage: String,
 }
 
 /// One output.
@@ -129,27 +128,38 @@ impl Cache {
 
     /// The record of a key, if all its outputs are present in their full size.
     pub fn record(&self, key: &Digest) -> Option<Record> {
-        let path = self.sharded("actions", key, "json");
-        let bytes = std::fs::read(&path).ok()?;
-        let record: Record = match serde_json::from_slice(&bytes) {
-            Ok(record) => record,
-            Err(_) => {
-                let _ = std::fs::remove_file(&path);
-                return None;
-            }
-        };
         let present = |output: &Output| {
             std::fs::metadata(self.blob_path(&output.digest)).is_ok_and(|metadata| metadata.len() == output.size)
         };
-        record.outputs.values().all(present).then_some(record)
+        self.recorded(key).filter(|record| record.outputs.values().all(present))
     }
 
-    /// Stores a record. Its outputs must be stored first, so that no reader sees it without them.
+    /// The record of a key, whether or not its outputs are still here.
+    pub fn recorded(&self, key: &Digest) -> Option<Record> {
+        let path = self.sharded("actions", key, "jsonl");
+        let text = std::fs::read_to_string(&path).ok()?;
+        let read = || {
+            let (head, preimage) = text.split_once('\n')?;
+            let record: Record = serde_json::from_str(head).ok()?;
+            Some(Record { preimage: preimage.to_owned(), ..record })
+        };
+        let record = read();
+        if record.is_none() {
+            let _ = std::fs::remove_file(&path);
+        }
+        record
+    }
+
+    /// Stores a record: one line of JSON, then the preimage, whose digest is the key. Its outputs must be stored first,
+    /// so that no reader sees it without them.
     ///
     /// # Errors
     /// When the folder cannot be written.
     pub fn put_record(&self, key: &Digest, record: &Record) -> Result<(), CacheError> {
-        self.write(&self.sharded("actions", key, "json"), &serde_json::to_vec(record)?)
+        let mut text = serde_json::to_string(record)?;
+        text.push('\n');
+        text.push_str(&record.preimage);
+        self.write(&self.sharded("actions", key, "jsonl"), text.as_bytes())
     }
 
     /// Stores bytes under their digest.

@@ -18,9 +18,18 @@ impl Digest {
 
     /// The digest of a JSON value, whatever the order of its keys.
     pub fn of_json(value: &Value) -> Self {
-        let mut text = String::new();
-        write_canonical(value, &mut text);
-        Self::of(text.as_bytes())
+        Self::of(canonical(value).as_bytes())
+    }
+
+    /// The 32 bytes.
+    pub fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+}
+
+impl From<[u8; 32]> for Digest {
+    fn from(bytes: [u8; 32]) -> Self {
+        Self(bytes)
     }
 }
 
@@ -55,26 +64,32 @@ impl<'de> Deserialize<'de> for Digest {
     }
 }
 
-/// JSON with sorted keys and −0 as 0. Depth is bounded by the readers that made the value.
+/// JSON without spaces, with sorted keys and −0 as 0. Depth is bounded by the readers that made the value.
+pub(crate) fn canonical(value: &Value) -> String {
+    let mut text = String::new();
+    write_canonical(value, &mut text);
+    text
+}
+
 fn write_canonical(value: &Value, text: &mut String) {
     match value {
         Value::Object(map) => {
             let mut keys: Vec<&String> = map.keys().collect();
             keys.sort();
             text.push('{');
-            for key in keys {
+            for (index, key) in keys.into_iter().enumerate() {
+                text.push_str(if index == 0 { "" } else { "," });
                 text.push_str(&Value::from(key.as_str()).to_string());
                 text.push(':');
                 write_canonical(&map[key], text);
-                text.push(',');
             }
             text.push('}');
         }
         Value::Array(values) => {
             text.push('[');
-            for value in values {
+            for (index, value) in values.iter().enumerate() {
+                text.push_str(if index == 0 { "" } else { "," });
                 write_canonical(value, text);
-                text.push(',');
             }
             text.push(']');
         }
@@ -96,6 +111,8 @@ mod tests {
         for other in [json!({"a": [1, 0.5], "b": "x"}), json!({"a": [1], "b": "x"}), json!({"a": [0.0, 1], "b": "x"})] {
             assert_ne!(digest, Digest::of_json(&other));
         }
+        let value = json!({"b": [1, {"z": null, "a": "é\n"}], "a": -0.0, "c": {}});
+        assert_eq!(canonical(&value), r#"{"a":0.0,"b":[1,{"a":"é\n","z":null}],"c":{}}"#);
         let text = digest.to_string();
         assert_eq!(serde_json::from_value::<Digest>(Value::from(text)).ok(), Some(digest));
     }

@@ -62,12 +62,12 @@ pub use diagnostic::{Place, Problem, Problems, Source};
 pub use digest::Digest;
 pub use files::Files;
 pub use graph::{Graph, GraphError};
-pub use node::{Node, NodeError, ParamError, Port, SourceFile};
+pub use node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
 pub use params::{ParamDoc, Params};
 pub use plan::{Plan, PlanInput, PlanNode};
 pub use registry::{ErasedNode, NodeKind, Registry};
 
-pub use scheduler::{NodeReport, Run, RunOptions, load};
+pub use scheduler::{NodeReport, Preview, Run, RunOptions, load};
 pub use syntax::Span;
 
 #[doc(hidden)]

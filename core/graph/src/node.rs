@@ -33,11 +33,34 @@ pub trait Node: Params {
         Vec::new()
     }
 
+    /// What the node needs of the machine while it runs, so that the scheduler knows what fits beside it. Must not
+    /// change what it computes.
+    fn resources(&self) -> Resources {
+        Resources::default()
+    }
+
     /// Does the work.
     ///
     /// # Errors
     /// Says what is wrong and what the user can do; the scheduler adds the node's id.
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError>;
+}
+
+/// What a node needs of the machine while it runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Resources {
+    /// Threads of its own that it keeps busy; work on the shared pool of the program does not count. At least 1.
+    pub threads: usize,
+    /// Most memory it takes beyond its inputs, as well as it can tell; 0 when that is little.
+    pub memory_bytes: u64,
+    /// It needs the GPU to itself.
+    pub gpu: bool,
+}
+
+impl Default for Resources {
+    fn default() -> Self {
+        Self { threads: 1, memory_bytes: 0, gpu: false }
+    }
 }
 
 /// A typed connection point. An optional input may be left unwired; an optional output may be left unwritten, which a
@@ -54,13 +77,29 @@ pub struct Port {
     pub many: bool,
     /// Must be wired (inputs) or written (outputs).
     pub required: bool,
-    pub(crate) decode: fn(&[u8]) -> Result<AnyArtifact, ArtifactError>,
+    /// Reads the on-disk form; without it the bytes travel as they are.
+    decode: Option<Decode>,
 }
+
+type Decode = fn(&[u8]) -> Result<AnyArtifact, ArtifactError>;
 
 impl Port {
     /// One value.
     pub const fn one<T: Artifact>(name: &'static str, doc: &'static str) -> Self {
-        Self { name, artifact: T::TYPE, doc, many: false, required: true, decode: AnyArtifact::decode::<T> }
+        Self { name, artifact: T::TYPE, doc, many: false, required: true, decode: Some(AnyArtifact::decode::<T>) }
+    }
+
+    /// One value of a type that this program knows by name only: it travels as its on-disk bytes.
+    pub const fn encoded(name: &'static str, artifact: ArtifactType, doc: &'static str) -> Self {
+        Self { name, artifact, doc, many: false, required: true, decode: None }
+    }
+
+    /// Reads what travels here from its on-disk form.
+    pub(crate) fn decode(&self, bytes: Vec<u8>) -> Result<AnyArtifact, ArtifactError> {
+        match self.decode {
+            Some(decode) => decode(&bytes),
+            None => Ok(AnyArtifact::encoded(self.artifact, bytes)),
+        }
     }
 
     /// A list of one or more values, in the order of the graph file.

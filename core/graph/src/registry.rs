@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use crate::artifacts::{Inputs, Outputs};
 use crate::context::Context;
-use crate::node::{Node, NodeError, ParamError, Port, SourceFile};
+use crate::digest::Digest;
+use crate::node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
 use crate::params::ParamDoc;
 use crate::syntax::{DeError, Fields, Spanned};
 
@@ -16,6 +17,8 @@ pub trait ErasedNode: Send + Sync {
     fn sources(&self) -> Vec<SourceFile>;
     /// See [`Node::validate`].
     fn validate(&self) -> Vec<ParamError>;
+    /// See [`Node::resources`].
+    fn resources(&self) -> Resources;
     /// All parameters, defaults written out.
     ///
     /// # Errors
@@ -35,6 +38,9 @@ impl<N: Node> ErasedNode for N {
     fn validate(&self) -> Vec<ParamError> {
         Node::validate(self)
     }
+    fn resources(&self) -> Resources {
+        Node::resources(self)
+    }
     fn values(&self) -> Result<serde_json::Map<String, Value>, serde_json::Error> {
         match serde_json::to_value(self)? {
             Value::Object(map) => Ok(map),
@@ -53,6 +59,8 @@ pub struct NodeKind {
     pub kind: &'static str,
     /// See [`Node::REVISION`].
     pub revision: u32,
+    /// Digest of the library that holds the code, when it is not compiled in. Part of the cache key.
+    pub implementation: Option<Digest>,
     /// What it does, in words.
     pub doc: &'static str,
     /// See [`Node::INPUTS`].
@@ -71,6 +79,7 @@ impl NodeKind {
         Self {
             kind: N::KIND,
             revision: N::REVISION,
+            implementation: None,
             doc: N::DOC,
             inputs: N::INPUTS,
             outputs: N::OUTPUTS,

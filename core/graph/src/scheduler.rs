@@ -9,14 +9,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde_json::{Value, json};
-
 use crate::artifacts::{AnyArtifact, Inputs};
 use crate::cache::{Cache, CacheError, Record};
 use crate::context::{Cancel, Event, Observer, Status};
 use crate::diagnostic::Problem;
 use crate::digest::Digest;
-use crate::key::{SourceDigests, preimage, source_digests};
+use crate::key::{Statement, source_digests};
 use crate::node::NodeError;
 use crate::plan::Plan;
 
@@ -32,11 +30,16 @@ pub struct RunOptions {
     pub observer: Arc<dyn Observer>,
     /// After a failure, still run what does not depend on it.
     pub keep_going: bool,
+    /// Most threads that nodes running at once may keep busy; at least 1.
+    pub jobs: usize,
+    /// Most memory that nodes running at once may say they need; a node that needs more runs alone.
+    pub memory_bytes: u64,
 }
 
 impl Default for RunOptions {
     fn default() -> Self {
-        Self { cancel: Cancel::default(), observer: Arc::new(()), keep_going: false }
+        let jobs = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { cancel: Cancel::default(), observer: Arc::new(()), keep_going: false, jobs, memory_bytes: u64::MAX }
     }
 }
 
@@ -70,36 +73,74 @@ impl NodeReport {
     }
 }
 
+/// What the cache knows of one node before a run.
+#[derive(Clone, Debug)]
+pub struct Preview {
+    /// Its action key and the key's preimage, a JSON text, when all that feeds it is cached.
+    pub key: Option<(Digest, String)>,
+    /// Its record, when it would be a hit.
+    pub record: Option<Record>,
+}
+
 /// A plan with its source files digested, ready to run.
 pub struct Run<'a> {
     plan: &'a Plan,
     cache: &'a Cache,
-    sources: Vec<Result<SourceDigests, NodeError>>,
+    statements: Vec<Result<Statement, NodeError>>,
 }
 
 impl<'a> Run<'a> {
     /// Digests the source files.
     pub fn prepare(plan: &'a Plan, cache: &'a Cache) -> Self {
-        let sources = plan.nodes.iter().map(|node| source_digests(node, cache)).collect();
-        Self { plan, cache, sources }
+        let state = |node| source_digests(node, cache).map(|sources| Statement::new(node, &sources, plan.seed));
+        Self { plan, cache, statements: plan.nodes.iter().map(state).collect() }
     }
 
     /// A digest of all that the run's results depend on, known before it starts: equal plans get equal ones.
     pub fn fingerprint(&self) -> Digest {
-        let none = SourceDigests::new();
-        let mut prints: Vec<Digest> = Vec::with_capacity(self.plan.nodes.len());
-        for (node, sources) in self.plan.nodes.iter().zip(&self.sources) {
-            let wires = node.inputs.iter().map(|input| {
-                let from: Vec<Value> =
-                    input.from.iter().map(|(from, port)| json!([prints[*from], port.name])).collect();
-                json!([input.port.name, from])
-            });
-            let sources = sources.as_ref().unwrap_or(&none);
-            let print = preimage(node, sources, wires.collect(), self.plan.seed);
-            prints.push(Digest::of_json(&json!([&*node.id, print])));
+        let mut hasher = blake3::Hasher::new();
+        let mut text = |text: &str| {
+            hasher.update(&(text.len() as u64).to_le_bytes()).update(text.as_bytes());
+        };
+        text(&self.plan.name);
+        for (node, statement) in self.plan.nodes.iter().zip(&self.statements) {
+            text(&node.id);
+            match statement {
+                Ok(statement) => statement.parts().into_iter().for_each(&mut text),
+                Err(error) => text(&error.message),
+            }
+            for input in &node.inputs {
+                text(input.port.name);
+                for (from, port) in &input.from {
+                    text(&self.plan.nodes[*from].id);
+                    text(port.name);
+                }
+            }
+            text("");
         }
-        let exports = self.plan.exports.iter().map(|(index, port)| json!([prints[*index], port.name]));
-        Digest::of_json(&json!([self.plan.name, prints, exports.collect::<Vec<_>>()]))
+        for (index, port) in &self.plan.exports {
+            text(&self.plan.nodes[*index].id);
+            text(port.name);
+        }
+        hasher.finalize().into()
+    }
+
+    /// What would be a hit, and what not, by node of the plan. Behind a miss nothing is known: it may write the bytes
+    /// it wrote before.
+    pub fn preview(&self) -> Vec<Preview> {
+        let mut found: Vec<Preview> = Vec::with_capacity(self.plan.nodes.len());
+        for at in 0..self.plan.nodes.len() {
+            let output = |from: usize, port: &str| {
+                let record = found[from].record.as_ref()?;
+                record.outputs.get(port).map(|output| output.digest)
+            };
+            let producers = self.plan.nodes[at].inputs.iter().flat_map(|input| &input.from);
+            let known = producers.map(|(from, _)| *from).all(|from| found[from].record.is_some());
+            let key = known.then(|| self.key(at, &output).ok()).flatten();
+            let record = key.as_ref().and_then(|(key, _)| self.cache.record(key));
+            found.push(Preview { key, record });
+        }
+        found
     }
 
     /// Runs the plan. Never stops for a node's failure without a word about every node.
@@ -155,14 +196,14 @@ impl<'a> Run<'a> {
             return Step::Done;
         }
         if !stopped && fed {
-            let outcome = self.key(at, state).and_then(|(preimage, key)| {
+            let outcome = self.key(at, &|from, port| state.digest(from, port)).and_then(|(key, preimage)| {
                 report.key = Some(key);
                 if state.is_done(at) && state.turns[at].as_ref().and_then(|turn| turn.key) == report.key {
                     return Ok(None);
                 }
                 match self.cache.record(&key) {
                     Some(record) => Ok(Some(Outcome::hit(record))),
-                    None => self.run(at, (preimage, key), state, options).map(Some),
+                    None => self.run(at, (key, preimage), state, options).map(Some),
                 }
             });
             match outcome {
@@ -194,14 +235,13 @@ impl<'a> Run<'a> {
         Step::Done
     }
 
-    /// The node's key, from the digests of what feeds it.
-    fn key(&self, at: usize, state: &State) -> Result<(Value, Digest), NodeError> {
+    /// The node's key and its preimage, from the digests of what feeds it.
+    fn key(&self, at: usize, output: &dyn Fn(usize, &str) -> Option<Digest>) -> Result<(Digest, String), NodeError> {
         let node = &self.plan.nodes[at];
-        let sources = self.sources[at].as_ref().map_err(Clone::clone)?;
-        let mut inputs = serde_json::Map::new();
+        let statement = self.statements[at].as_ref().map_err(Clone::clone)?;
+        let mut inputs = BTreeMap::new();
         for input in &node.inputs {
-            let digests: Vec<Digest> =
-                input.from.iter().filter_map(|(from, port)| state.digest(*from, port.name)).collect();
+            let digests: Vec<Digest> = input.from.iter().filter_map(|(from, port)| output(*from, port.name)).collect();
             if input.port.required && digests.is_empty() {
                 let from: Vec<String> = input
                     .from
@@ -213,12 +253,11 @@ impl<'a> Run<'a> {
                 return Err(NodeError::new(message).remedy(format!("give what {} is made of", from.join(", "))));
             }
             if !digests.is_empty() {
-                inputs.insert(input.port.name.to_owned(), json!(digests));
+                inputs.insert(input.port.name, digests);
             }
         }
-        let preimage = preimage(node, sources, Value::Object(inputs), self.plan.seed);
-        let key = Digest::of_json(&preimage);
-        Ok((preimage, key))
+        let preimage = statement.preimage(&inputs);
+        Ok((Digest::of(preimage.as_bytes()), preimage))
     }
 
     /// The node's inputs, from memory or from the cache; `Err` inside names a producer whose output is damaged.
@@ -231,7 +270,7 @@ impl<'a> Run<'a> {
                     inputs = inputs.with(input.port.name, artifact.clone());
                     continue;
                 }
-                let decoded = self.cache.bytes(&digest)?.map(|bytes| (port.decode)(&bytes));
+                let decoded = self.cache.bytes(&digest)?.map(|bytes| port.decode(bytes));
                 if let Some(Ok(artifact)) = decoded {
                     state.held[*from].insert(port.name, artifact.clone());
                     inputs = inputs.with(input.port.name, artifact);

@@ -84,7 +84,7 @@ fn damaged_artifacts_are_found_and_recomputed() {
 fn damaged_records_are_misses() {
     let bench = Bench::new();
     bench.run(CHAIN);
-    for path in cache_files(&bench).into_keys().filter(|path| path.extension().is_some_and(|kind| kind == "json")) {
+    for path in cache_files(&bench).into_keys().filter(|path| path.extension().is_some_and(|kind| kind == "jsonl")) {
         std::fs::write(path, b"{\"outputs\": {").unwrap();
     }
     assert_eq!(bench.run(CHAIN).count(Status::Ran), 4);

@@ -6,8 +6,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use serde_json::Value;
-
 use crate::artifacts::Outputs;
 use crate::cache::Record;
 use crate::context::{Context, Event, Observer, Status};
@@ -22,7 +20,7 @@ impl Run<'_> {
     pub(super) fn run(
         &self,
         at: usize,
-        (preimage, key): (Value, Digest),
+        (key, preimage): (Digest, String),
         state: &mut State,
         options: &RunOptions,
     ) -> Result<Outcome, NodeError> {
