@@ -67,6 +67,7 @@ pub fn albedo_operator(
     let frames: Vec<usize> = (0..training).step_by(stride).collect();
     let mut operator = AlbedoOperator {
         column_count: skin.gaussians.len(),
+        picture_pixels: clip.width * clip.height,
         frames: frames.iter().map(|&frame| frame as u32).collect(),
         row_offsets: vec![0],
         entry_offsets: vec![0],

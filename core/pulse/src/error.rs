@@ -66,6 +66,9 @@ pub enum PulseError {
         /// Its value.
         value: f64,
     },
+    /// A renderer that was handed in failed.
+    #[error("the renderer refused: {0}")]
+    Renderer(String),
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,

@@ -11,7 +11,7 @@ pub use options::{PhaseOptions, PhaseRates, Start};
 
 use std::ops::ControlFlow;
 
-use heartian_space::{AlbedoOperator, Progress};
+use heartian_space::Progress;
 
 use crate::adam::Adam;
 use crate::error::{PulseError, check_length};
@@ -20,7 +20,7 @@ use crate::numeric::mean;
 use crate::phase::{Parameterization, Phase};
 use crate::pulse::{Pulse, Strength};
 use crate::reference::{Reference, WeakPhase};
-use crate::render_loss::{RenderLoss, levels_per_albedo};
+use crate::render_loss::FrozenRenderer;
 use crate::waveform::Waveform;
 use objective::{Losses, Objective, Variables};
 use warm::warm_waveform;
@@ -31,7 +31,7 @@ pub struct Scene<'a> {
     /// θ_POS of the recording.
     pub weak_phase: Option<&'a WeakPhase>,
     /// The frozen renderer.
-    pub operator: Option<&'a AlbedoOperator>,
+    pub renderer: Option<&'a dyn FrozenRenderer>,
     /// Mean green albedo over the skin Gaussians, in (0, 1].
     pub mean_green_albedo: f64,
 }
@@ -51,7 +51,7 @@ pub struct FitReport {
     pub fundamental_pearson: f64,
     /// The same of the full modulation, once the residual is fitted.
     pub full_pearson: Option<f64>,
-    /// L_base surrogate, sRGB units; 0 without an operator.
+    /// L_base, sRGB units; 0 without a renderer.
     pub base_loss: f64,
     /// Peak-to-peak of the fundamental on the picture, 8-bit levels.
     pub levels: f64,
@@ -80,11 +80,12 @@ pub fn fit_phase(
     if let Some(weak) = scene.weak_phase {
         check_length("the weak phase", reference.len(), weak.theta.len())?;
     }
-    let target = WaveformTarget::new(&reference.waveform)?;
+    let target = WaveformTarget::new(&reference.waveform, reference.rate_hertz())?;
     let (phase, waveform) = starting_point(reference, &target, options)?;
-    let render = scene.operator.map(|o| RenderLoss::new(o, &vec![0; o.column_count], 1)).transpose()?;
+    let render = scene.renderer.map(|r| r.base_loss(&vec![0; r.gaussians()], 1)).transpose()?;
     let scale = options.amplitude * scene.mean_green_albedo / waveform.peak_to_peak().max(1e-9);
-    let objective = Objective { reference, target: &target, weak: scene.weak_phase, render: render.as_ref(), options };
+    let objective =
+        Objective { reference, target: &target, weak: scene.weak_phase, render: render.as_deref(), options };
     let mut variables = Variables { phase, waveform, scale, log_scale: 0.0 };
     let losses = descend(&objective, &mut variables, progress)?;
     finish(&objective, variables, losses, scene)
@@ -175,7 +176,7 @@ fn finish(
     let wanted = options.amplitude * scene.mean_green_albedo;
     // Amplitudes and A share one degree of freedom; floor and ceiling hold for their product.
     let [floor, ceiling] = options.scale_range.map(|factor| factor * wanted);
-    let per_albedo = scene.operator.and_then(levels_per_albedo).unwrap_or_else(|| {
+    let per_albedo = scene.renderer.and_then(FrozenRenderer::levels_per_albedo).unwrap_or_else(|| {
         // Albedo seen under unit irradiance.
         255.0 * f64::from(heartian_space::color::srgb_from_linear_derivative(scene.mean_green_albedo as f32))
     });

@@ -18,6 +18,7 @@
 mod adam;
 mod error;
 mod fit;
+mod frame_by_frame;
 pub mod losses;
 pub mod numeric;
 mod phase;
@@ -31,11 +32,13 @@ mod waveform;
 pub use adam::Schedule;
 pub use error::PulseError;
 pub use fit::{FitReport, PhaseOptions, PhaseRates, Scene, Start, Watch, fit_phase};
+pub use frame_by_frame::{FrameByFrame, RenderFrame};
 pub use phase::{Parameterization, Phase, PhaseGradient};
 pub use pulse::{Pulse, Strength, modulation_from_fundamental};
 pub use reference::{Prescription, Reference};
+pub use render_loss::{BaseLoss, FrozenRenderer};
 pub use residual_fit::{Evaluation, ResidualOptions, evaluate_all, fit_residual, mean_offsets};
-pub use waveform::{PenaltyWeights, Waveform, WaveformGradient};
+pub use waveform::{PenaltyWeights, Waveform, WaveformGradient, Waves};
 
 #[cfg(test)]
 mod tests;

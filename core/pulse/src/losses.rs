@@ -3,13 +3,13 @@
 //!
 //! Detrending is D = I − (I + λ²D₂ᵀD₂)⁻¹, a symmetric linear map, so its transpose in the backward pass is itself.
 
-use heartian_signal::Detrender;
+use heartian_signal::{Detrender, Smoothness};
 
 use crate::error::{PulseError, check_finite, check_length};
 use crate::numeric::{mean, wrap};
 
-/// Smoothness prior of the toolbox and the paper.
-pub const DETREND_LAMBDA: f64 = 100.0;
+/// Smoothness prior of the toolbox and the paper, which work at 30 Hz; alike in hertz at other frame rates.
+pub const DETREND: Smoothness = Smoothness::AsAt30Hertz(100.0);
 
 /// A standard deviation below this share of the signal's largest magnitude counts as flat.
 const FLAT: f64 = 1e-12;
@@ -107,13 +107,13 @@ pub struct WaveformLoss {
 }
 
 impl WaveformTarget {
-    /// From the reference PPG at frame times.
+    /// From the reference PPG at frame times, `rate_hertz` frames a second.
     ///
     /// # Errors
     /// When values are not finite or too few to detrend.
-    pub fn new(reference: &[f64]) -> Result<Self, PulseError> {
+    pub fn new(reference: &[f64], rate_hertz: f64) -> Result<Self, PulseError> {
         check_finite("the reference waveform", reference)?;
-        let detrender = Detrender::new(reference.len(), DETREND_LAMBDA)?;
+        let detrender = Detrender::new(reference.len(), DETREND.lambda(rate_hertz))?;
         let target = normalise(&detrended(&detrender, reference)?);
         Ok(Self { detrender, target })
     }
@@ -172,7 +172,7 @@ mod tests {
         let mut random = Random::new(11);
         let reference: Vec<f64> = (0..90).map(|t| (0.3 * t as f64).sin() + 0.02 * t as f64).collect();
         let signal: Vec<f64> = (0..90).map(|t| (0.29 * t as f64 + 0.4).sin() + 0.1 * random.normal()).collect();
-        let target = WaveformTarget::new(&reference).unwrap();
+        let target = WaveformTarget::new(&reference, 30.0).unwrap();
         let weights = LossWeights { mse: 0.7, pearson: 1.3, ..LossWeights::default() };
         let value = |signal: &[f64]| {
             let loss = target.loss(signal, &weights).unwrap();
@@ -209,11 +209,11 @@ mod tests {
     #[test]
     fn a_flat_signal_has_a_defined_loss_and_no_gradient() {
         let reference: Vec<f64> = (0..60).map(|t| (0.3 * t as f64).sin()).collect();
-        let target = WaveformTarget::new(&reference).unwrap();
+        let target = WaveformTarget::new(&reference, 30.0).unwrap();
         let loss = target.loss(&[0.25; 60], &LossWeights::default()).unwrap();
         assert!((loss.pearson - 1.0).abs() < 1e-9 && (loss.mse - 1.0).abs() < 1e-9);
         assert!(loss.gradient.iter().all(|g| *g == 0.0));
         assert!(target.loss(&[0.0; 3], &LossWeights::default()).is_err());
-        assert!(WaveformTarget::new(&[f64::NAN; 60]).is_err());
+        assert!(WaveformTarget::new(&[f64::NAN; 60], 30.0).is_err());
     }
 }

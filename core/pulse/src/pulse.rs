@@ -65,6 +65,14 @@ impl Pulse {
         self.times_seconds.is_empty()
     }
 
+    /// Mean frame rate, hertz; 0 for a single frame.
+    pub fn rate_hertz(&self) -> f64 {
+        match self.times_seconds[..] {
+            [first, .., last] if last > first => (self.len() - 1) as f64 / (last - first),
+            _ => 0.0,
+        }
+    }
+
     /// Half of the bound on 8-bit levels, as linear albedo: no offset is larger in magnitude.
     pub fn most_offset(&self) -> f64 {
         0.5 * self.strength.most_levels / self.strength.levels_per_albedo.max(1e-9)

@@ -14,7 +14,7 @@ use heartian_signal::beats::{BeatOptions, Beats, beat_aligned_phase, detect_beat
 use heartian_space::Series;
 
 use crate::error::{PulseError, check_finite};
-use crate::losses::DETREND_LAMBDA;
+use crate::losses::DETREND;
 use crate::numeric::{mean, quantile};
 
 /// Fewest frames and seconds that can carry a pulse: about two beats at 60 bpm.
@@ -25,8 +25,6 @@ pub const LEAST_SECONDS: f64 = 1.5;
 const MARGIN_SECONDS: f64 = 4.0;
 /// Range of rates at which a PPG is worked on, hertz; others are interpolated.
 const WORK_HERTZ: [f64; 2] = [25.0, 250.0];
-/// Frame rate at which λ = 100 has its usual meaning; λ grows with the square of the rate for one cut-off in hertz.
-const USUAL_HERTZ: f64 = 30.0;
 /// Confidence of frames beside a beat that the PPG does not show.
 const GUESSED: f64 = 0.3;
 
@@ -156,8 +154,7 @@ impl EvenPpg {
     /// Without drift, and with samples limited to the 5–95 % range extended by itself on both sides: a spike would
     /// otherwise dominate the normalised target and flash on the face.
     fn clean(&self) -> Result<Self, PulseError> {
-        let lambda = DETREND_LAMBDA * (self.rate_hertz / USUAL_HERTZ).powi(2);
-        let detrender = Detrender::new(self.values.len(), lambda)?;
+        let detrender = Detrender::new(self.values.len(), DETREND.lambda(self.rate_hertz))?;
         let limit = |values: &mut [f64]| {
             let (low, high) = (quantile(values, 0.05), quantile(values, 0.95));
             let range = high - low;

@@ -11,10 +11,58 @@ use heartian_space::color::{srgb_from_linear, srgb_from_linear_derivative};
 
 use crate::error::{PulseError, check_length};
 
+/// A renderer whose geometry and light are frozen, as much of it as stage 2 needs. [`AlbedoOperator`] is the one it uses;
+/// [`crate::FrameByFrame`], which renders anew at every step, is what it is judged by.
+pub trait FrozenRenderer {
+    /// Number of skin Gaussians.
+    fn gaussians(&self) -> usize;
+
+    /// How many 8-bit levels one unit of uniform albedo offset moves the picture; `None` when it never shows the skin.
+    fn levels_per_albedo(&self) -> Option<f64>;
+
+    /// L_base where skin Gaussian i has the offset of group `group_of[i] < groups`.
+    ///
+    /// # Errors
+    /// When `group_of` does not name a group for each skin Gaussian.
+    fn base_loss<'a>(&'a self, group_of: &[usize], groups: usize) -> Result<Box<dyn BaseLoss + 'a>, PulseError>;
+}
+
+/// The photometric loss of stage 2 on offsets that groups share.
+pub trait BaseLoss {
+    /// The loss at `offsets` (T×groups, linear albedo); **adds** `scale` times its gradient to `gradient`.
+    ///
+    /// # Errors
+    /// When the renderer refuses.
+    fn evaluate(&self, offsets: &[f64], scale: f64, gradient: &mut [f64]) -> Result<f64, PulseError>;
+}
+
+impl FrozenRenderer for AlbedoOperator {
+    fn gaussians(&self) -> usize {
+        self.column_count
+    }
+
+    fn levels_per_albedo(&self) -> Option<f64> {
+        levels_per_albedo(self)
+    }
+
+    fn base_loss<'a>(&'a self, group_of: &[usize], groups: usize) -> Result<Box<dyn BaseLoss + 'a>, PulseError> {
+        Ok(Box::new(RenderLoss::new(self, group_of, groups)?))
+    }
+}
+
+impl BaseLoss for RenderLoss {
+    fn evaluate(&self, offsets: &[f64], scale: f64, gradient: &mut [f64]) -> Result<f64, PulseError> {
+        Ok(self.loss(offsets, scale, gradient))
+    }
+}
+
+/// Share of the absolute error in L_base; the rest is D-SSIM (stage 1 has the same).
+const L1_SHARE: f64 = 0.8;
 /// Errors below one 8-bit level are penalised quadratically.
 const LEAST_ERROR: f64 = 1.0 / 255.0;
 
-/// The quadratic surrogate for `groups` shared offsets a frame. Values are means over all counted pixels.
+/// The quadratic surrogate for `groups` shared offsets a frame. Values are means over the described frames of means over
+/// all pixels and channels of a picture, as L_base is; what no skin reaches counts as without error.
 #[derive(Clone, Debug)]
 pub struct RenderLoss {
     groups: usize,
@@ -24,11 +72,16 @@ pub struct RenderLoss {
     constant: f64,
 }
 
-/// A cell's error and its sensitivity to the linear green, in sRGB units, with its share of all pixels.
-fn cell(operator: &AlbedoOperator, row: usize, pixels: f64) -> (f64, f64, f64) {
+/// What L_base's mean divides by: channels of pixels of the described frames.
+fn values_counted(operator: &AlbedoOperator) -> f64 {
+    (3 * operator.picture_pixels * operator.frames.len()).max(1) as f64
+}
+
+/// A cell's error and its sensitivity to the linear green, in sRGB units, with its weight in L_base.
+fn cell(operator: &AlbedoOperator, row: usize, values: f64) -> (f64, f64, f64) {
     let (base, target) = (operator.base[row].max(0.0), operator.target[row].max(0.0));
     let error = f64::from(srgb_from_linear(base)) - f64::from(srgb_from_linear(target));
-    (error, f64::from(srgb_from_linear_derivative(base)), f64::from(operator.pixels[row]) / pixels)
+    (error, f64::from(srgb_from_linear_derivative(base)), L1_SHARE * f64::from(operator.pixels[row]) / values)
 }
 
 impl RenderLoss {
@@ -38,7 +91,7 @@ impl RenderLoss {
     /// When `group_of` does not name a group for each column.
     pub fn new(operator: &AlbedoOperator, group_of: &[usize], groups: usize) -> Result<Self, PulseError> {
         check_length("the group of each skin Gaussian", operator.column_count, group_of.len())?;
-        let pixels: f64 = operator.pixels.iter().map(|&p| f64::from(p)).sum::<f64>().max(1.0);
+        let values = values_counted(operator);
         let frames: Vec<usize> = operator.frames.iter().map(|&frame| frame as usize).collect();
         let mut hessian = vec![0.0; frames.len() * groups * groups];
         let (mut slope, mut constant) = (vec![0.0; frames.len() * groups], 0.0);
@@ -47,7 +100,7 @@ impl RenderLoss {
             let hessian = &mut hessian[f * groups * groups..(f + 1) * groups * groups];
             let slope = &mut slope[f * groups..(f + 1) * groups];
             for row in operator.rows_of(f) {
-                let (error, transfer, share) = cell(operator, row, pixels);
+                let (error, transfer, share) = cell(operator, row, values);
                 constant += share * error.abs();
                 pooled.fill(0.0);
                 for (column, weight) in operator.row(row) {
@@ -87,17 +140,17 @@ impl RenderLoss {
     }
 }
 
-/// The plain text of what the surrogate bounds: mean |Δ sRGB green| over counted pixels, for dense `offsets` (T×n).
+/// The plain text of what the surrogate bounds, for dense `offsets` (T×n).
 pub fn exact_l1(operator: &AlbedoOperator, offsets: &[f64]) -> f64 {
     let n = operator.column_count;
-    let pixels: f64 = operator.pixels.iter().map(|&p| f64::from(p)).sum::<f64>().max(1.0);
+    let values = values_counted(operator);
     let mut loss = 0.0;
     for (f, &frame) in operator.frames.iter().enumerate() {
         for row in operator.rows_of(f) {
             let shift: f64 = operator.row(row).map(|(i, w)| f64::from(w) * offsets[frame as usize * n + i]).sum();
             let green = (f64::from(operator.base[row]) + shift).max(0.0);
             let error = srgb_from_linear(green as f32) - srgb_from_linear(operator.target[row].max(0.0));
-            loss += f64::from(error.abs()) * f64::from(operator.pixels[row]) / pixels;
+            loss += L1_SHARE * f64::from(error.abs()) * f64::from(operator.pixels[row]) / values;
         }
     }
     loss
@@ -132,6 +185,7 @@ pub(crate) mod tests {
         let rows = frames as usize * cells;
         let mut operator = AlbedoOperator {
             column_count: columns,
+            picture_pixels: 256 * cells,
             frames: (0..frames).collect(),
             row_offsets: (0..=frames).map(|f| f * cells as u32).collect(),
             entry_offsets: (0..=rows as u32).map(|r| r * 3).collect(),

@@ -10,7 +10,7 @@ mod patches;
 
 pub use evaluate::{Evaluation, evaluate_all};
 
-use heartian_space::{AlbedoOperator, Modulation, Progress, Skin};
+use heartian_space::{Modulation, Progress, Skin};
 
 use crate::adam::{Adam, AdamF32, Schedule};
 use crate::error::{PulseError, check_length};
@@ -18,7 +18,7 @@ use crate::fit::{FitReport, Watch};
 use crate::losses::{LossWeights, WaveformTarget};
 use crate::numeric::{Random, mean};
 use crate::pulse::Pulse;
-use crate::render_loss::RenderLoss;
+use crate::render_loss::{BaseLoss, FrozenRenderer};
 use crate::residual::{Residual, Shape};
 use patches::Patches;
 
@@ -89,7 +89,7 @@ const MOST_EVALUATIONS: usize = 8192;
 pub fn fit_residual(
     pulse: &Pulse,
     skin: &Skin,
-    operator: Option<&AlbedoOperator>,
+    renderer: Option<&dyn FrozenRenderer>,
     options: &ResidualOptions,
     progress: Watch<'_>,
 ) -> Result<(Pulse, Modulation), PulseError> {
@@ -102,12 +102,12 @@ pub fn fit_residual(
     let network = Residual::<f32>::new(Shape { beats, width: options.width }, options.seed)?;
     let count = (MOST_EVALUATIONS / pulse.len().max(1)).clamp(1, options.patches);
     let patches = Patches::new(&skin.positions, count);
-    let render = operator.map(|operator| RenderLoss::new(operator, &patches.patch_of, patches.len())).transpose()?;
+    let render = renderer.map(|renderer| renderer.base_loss(&patches.patch_of, patches.len())).transpose()?;
     let shape = pulse.waveform.evaluate(&pulse.theta);
     let training = Training {
         pulse,
         shape: &shape,
-        target: WaveformTarget::new(&pulse.reference)?,
+        target: WaveformTarget::new(&pulse.reference, pulse.rate_hertz())?,
         positions: &skin.positions,
         patches,
         render,
@@ -164,7 +164,7 @@ struct Training<'a> {
     target: WaveformTarget,
     positions: &'a [[f32; 3]],
     patches: Patches,
-    render: Option<RenderLoss>,
+    render: Option<Box<dyn BaseLoss + 'a>>,
     options: &'a ResidualOptions,
 }
 
@@ -214,14 +214,19 @@ impl Training<'_> {
             to_outputs: loss.gradient.iter().flat_map(|g| share.iter().map(move |s| g * s * residual_weight)).collect(),
             to_residual_weight: loss.gradient.iter().zip(&averages).map(|(g, f)| g * f).sum::<f64>(),
         };
-        if let Some(render) = self.render.as_ref().filter(|_| weights.base > 0.0) {
-            self.add_render_loss(render, (out, residual_weight), &mut losses);
+        if let Some(render) = self.render.as_deref().filter(|_| weights.base > 0.0) {
+            self.add_render_loss(render, (out, residual_weight), &mut losses)?;
         }
         Ok(losses)
     }
 
     /// L_base on offsets A·(u − level + B·(f − mean of f)), the mean over time only when centred.
-    fn add_render_loss(&self, render: &RenderLoss, (out, residual_weight): (&[f64], f64), losses: &mut Losses) {
+    fn add_render_loss(
+        &self,
+        render: &dyn BaseLoss,
+        (out, residual_weight): (&[f64], f64),
+        losses: &mut Losses,
+    ) -> Result<(), PulseError> {
         let (count, strength) = (self.patches.len(), &self.pulse.strength);
         let centred = strength.level != 0.0;
         let means = |table: &[f64]| if centred { column_means(table, count) } else { vec![0.0; count] };
@@ -232,7 +237,8 @@ impl Training<'_> {
             offsets.extend(frame.iter().zip(&middle).map(offset));
         }
         let mut to_offsets = vec![0.0; offsets.len()];
-        losses.total += self.options.weights.base * render.loss(&offsets, self.options.weights.base, &mut to_offsets);
+        let weight = self.options.weights.base;
+        losses.total += weight * render.evaluate(&offsets, weight, &mut to_offsets)?;
         let pulled_middle = means(&to_offsets);
         let rows = losses.to_outputs.chunks_exact_mut(count).zip(to_offsets.chunks_exact(count));
         for ((to_outputs, to_offsets), out) in rows.zip(out.chunks_exact(count)) {
@@ -241,6 +247,7 @@ impl Training<'_> {
                 losses.to_residual_weight += strength.scale * to_offsets[k] * (out[k] - middle[k]);
             }
         }
+        Ok(())
     }
 }
 
@@ -269,7 +276,7 @@ mod tests {
     use super::*;
     use crate::fit::{PhaseOptions, Scene, fit_phase};
     use crate::reference::Prescription;
-    use crate::render_loss::tests::made_up_operator;
+    use crate::render_loss::{RenderLoss, tests::made_up_operator};
 
     #[test]
     fn the_gradient_of_the_full_path_matches_finite_differences() {
@@ -290,9 +297,9 @@ mod tests {
             let training = Training {
                 pulse: &pulse,
                 shape: &shape,
-                target: WaveformTarget::new(&pulse.reference).unwrap(),
+                target: WaveformTarget::new(&pulse.reference, 30.0).unwrap(),
                 positions: &positions,
-                render: Some(RenderLoss::new(&made_up_operator(60, 10, 6, 2), &patches.patch_of, 3).unwrap()),
+                render: Some(Box::new(RenderLoss::new(&made_up_operator(60, 10, 6, 2), &patches.patch_of, 3).unwrap())),
                 patches,
                 options: &options,
             };

@@ -19,6 +19,9 @@ pub struct Waveform {
     pub raw_width: [f64; 2],
 }
 
+/// Distance to each wave's centre in widths, and its height, one pair of pairs a frame.
+pub struct Waves(Vec<[[f64; 2]; 2]>);
+
 /// Gradient with respect to the fields of [`Waveform`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WaveformGradient {
@@ -82,24 +85,35 @@ impl Waveform {
 
     /// The fundamental at every phase of a clip.
     pub fn evaluate(&self, theta: &[f64]) -> Vec<f64> {
-        let (amplitude, width) = (self.amplitude(), self.width());
-        let value = |theta: &f64| {
-            let wave = |k: usize| amplitude[k] * (-0.5 * (wrap(theta - self.center[k]) / width[k]).powi(2)).exp();
-            wave(0) + wave(1)
-        };
-        theta.iter().map(value).collect()
+        self.evaluate_kept(theta).0
     }
 
-    /// Vector–Jacobian product of [`Self::evaluate`]: from ∂L/∂u (one a frame) to the parameters, and to θ, which it
-    /// adds to `theta_gradient`.
-    pub fn evaluate_vjp(&self, theta: &[f64], output: &[f64], theta_gradient: &mut [f64]) -> WaveformGradient {
+    /// The same, with what the backward pass needs.
+    pub fn evaluate_kept(&self, theta: &[f64]) -> (Vec<f64>, Waves) {
+        let (amplitude, narrow) = (self.amplitude(), self.width().map(|width| 1.0 / width));
+        let mut waves = Vec::with_capacity(theta.len());
+        let value = |theta: &f64| {
+            let wave = |k: usize| {
+                let z = wrap(theta - self.center[k]) * narrow[k];
+                [z, (-0.5 * z * z).exp()]
+            };
+            let both = [wave(0), wave(1)];
+            waves.push(both);
+            amplitude[0] * both[0][1] + amplitude[1] * both[1][1]
+        };
+        let values = theta.iter().map(value).collect();
+        (values, Waves(waves))
+    }
+
+    /// Vector–Jacobian product of [`Self::evaluate_kept`]: from ∂L/∂u (one a frame) to the parameters, and to θ, which
+    /// it adds to `theta_gradient`.
+    pub fn evaluate_vjp(&self, waves: &Waves, output: &[f64], theta_gradient: &mut [f64]) -> WaveformGradient {
         let (amplitude, width) = (self.amplitude(), self.width());
         let mut gradient = WaveformGradient::default();
         for k in 0..2 {
             let (mut to_amplitude, mut to_center, mut to_width) = (0.0, 0.0, 0.0);
-            for ((theta, pulled), theta_gradient) in theta.iter().zip(output).zip(theta_gradient.iter_mut()) {
-                let z = wrap(theta - self.center[k]) / width[k];
-                let shape = (-0.5 * z * z).exp();
+            for ((waves, pulled), theta_gradient) in waves.0.iter().zip(output).zip(theta_gradient.iter_mut()) {
+                let [z, shape] = waves[k];
                 let wave = pulled * amplitude[k] * shape;
                 to_amplitude += pulled * shape;
                 to_center += wave * z;
@@ -182,7 +196,7 @@ mod tests {
                 fit + waveform.penalty(&penalties, &mut WaveformGradient::default())
             };
             let mut to_theta = vec![0.0; theta.len()];
-            let mut gradient = waveform.evaluate_vjp(&theta, &weights, &mut to_theta);
+            let mut gradient = waveform.evaluate_vjp(&waveform.evaluate_kept(&theta).1, &weights, &mut to_theta);
             waveform.penalty(&penalties, &mut gradient);
             let (h, p) = (1e-6, waveform.to_array());
             for k in 0..6 {

@@ -17,6 +17,8 @@ use crate::SpaceError;
 pub struct AlbedoOperator {
     /// Number of columns: one per modulated Gaussian, in the order of the skin selection.
     pub column_count: usize,
+    /// Pixels of a whole picture, skin or not: what a mean over the picture divides by.
+    pub picture_pixels: usize,
     /// `F` indices into the clip, increasing: the frames described (training frames only).
     pub frames: Vec<u32>,
     /// `F + 1`: the rows of frame `f` are `row_offsets[f]..row_offsets[f + 1]`.
@@ -54,6 +56,9 @@ impl AlbedoOperator {
                 return Err(SpaceError::Length { what, expected, found });
             }
         }
+        if self.picture_pixels == 0 {
+            return Err(SpaceError::Empty("the operator's picture"));
+        }
         if let Some(index) = self.columns.iter().position(|&column| column as usize >= self.column_count) {
             let found = self.columns[index] as usize;
             return Err(SpaceError::Length { what: "the operator's columns", expected: self.column_count, found });
@@ -90,7 +95,7 @@ fn check_offsets(what: &'static str, offsets: &[u32], groups: usize, end: usize)
 }
 
 impl Artifact for AlbedoOperator {
-    const TYPE: ArtifactType = ArtifactType { name: "albedo_operator", version: 1 };
+    const TYPE: ArtifactType = ArtifactType { name: "albedo_operator", version: 2 };
 
     fn to_bundle(&self) -> Result<Bundle<'_>, ArtifactError> {
         Bundle::new()
@@ -102,12 +107,14 @@ impl Artifact for AlbedoOperator {
             .tensor("base", &[self.base.len()], &self.base)?
             .tensor("target", &[self.target.len()], &self.target)?
             .tensor("pixels", &[self.pixels.len()], &self.pixels)?
-            .meta("column_count", &self.column_count)
+            .meta("column_count", &self.column_count)?
+            .meta("picture_pixels", &self.picture_pixels)
     }
 
     fn from_bundle(reader: BundleReader<'_>) -> Result<Self, ArtifactError> {
         Self {
             column_count: reader.meta("column_count")?,
+            picture_pixels: reader.meta("picture_pixels")?,
             frames: reader.tensor("frames")?.1,
             row_offsets: reader.tensor("row_offsets")?.1,
             entry_offsets: reader.tensor("entry_offsets")?.1,
@@ -130,6 +137,7 @@ mod tests {
     fn contradictory_arrays_are_refused() {
         let good = AlbedoOperator {
             column_count: 2,
+            picture_pixels: 64,
             frames: vec![4],
             row_offsets: vec![0, 2],
             entry_offsets: vec![0, 1, 3],
@@ -140,8 +148,9 @@ mod tests {
             pixels: vec![16.0; 2],
         };
         assert!(good.clone().checked().is_ok_and(|operator| operator.row(1).count() == 2));
-        let broken: [fn(&mut AlbedoOperator); 4] = [
+        let broken: [fn(&mut AlbedoOperator); 5] = [
             |operator| operator.columns[2] = 2,
+            |operator| operator.picture_pixels = 0,
             |operator| operator.entry_offsets[1] = 9,
             |operator| operator.weights[0] = f32::NAN,
             |operator| operator.row_offsets = vec![1, 2],

@@ -20,7 +20,7 @@ register!(SkinSelector);
 
 impl Node for SkinSelector {
     const KIND: &'static str = "SkinSelector";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::one::<Avatar>("avatar", "The fitted avatar."),
         Port::one::<Track>("track", "The track it was fitted to."),

@@ -20,7 +20,7 @@ register!(MlpResidual);
 
 impl Node for MlpResidual {
     const KIND: &'static str = "MlpResidual";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::one::<Pulse>("pulse", "The fitted fundamental; it stays as it is."),
         Port::one::<Skin>("skin", "The Gaussians to modulate."),
@@ -40,7 +40,7 @@ impl Node for MlpResidual {
         let options =
             ResidualOptions { steps, width, residual_weight: weight, seed: context.seed(), ..Default::default() };
         let watch = &mut |p: heartian_space::Progress| context.progress(p.step, p.total, p.metric);
-        let (pulse, modulation) = fit_residual(&pulse, &skin, operator.as_deref(), &options, watch)?;
+        let (pulse, modulation) = fit_residual(&pulse, &skin, operator.as_deref().map(|o| o as _), &options, watch)?;
         let metrics = Metrics::new()
             .with("residual.waveform_pearson", pulse.report.full_pearson.unwrap_or(f64::NAN))
             .with("residual.limited_offsets", pulse.report.limited as f64);

@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 /// How long and from where the fit runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Preset {
-    /// Starts at the reference's beats, 2,000 full-batch steps.
-    Fast,
-    /// Starts at the mean rate, 60,000 steps, uncentred: the paper to the letter.
+    /// The paper's 60,000 iterations and decays.
     Paper,
+    /// A twentieth of them, for a look.
+    Fast,
 }
 
 /// Where the weak phase prior comes from.
@@ -47,15 +47,15 @@ params! {
         most_levels: f64 = 6.0, unit("8-bit levels"), range(0.01, 255.0);
         /// Weak phase prior from the recording's own pulse; dropped when that pulse does not keep step with the one written.
         weak_prior: WeakPrior = WeakPrior::Global, choices(&["Global", "Sliding", "Off"]);
-        /// Length and start of the fit.
-        preset: Preset = Preset::Fast, choices(&["Fast", "Paper"]);
+        /// Length of the fit.
+        preset: Preset = Preset::Paper, choices(&["Paper", "Fast"]);
     }
 }
 register!(PhaseModel);
 
 impl Node for PhaseModel {
     const KIND: &'static str = "PhaseModel";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The recording: its frame times, and its own pulse for the weak prior."),
         Port::one::<Series>("ppg", "Contact PPG on the clip's clock, at any rate.").optional(),
@@ -79,8 +79,11 @@ impl Node for PhaseModel {
         };
         let operator = inputs.optional::<AlbedoOperator>("operator")?;
         let albedo: Vec<f64> = skin.green_albedo.iter().copied().map(f64::from).collect();
-        let scene =
-            Scene { weak_phase: weak.as_ref(), operator: operator.as_deref(), mean_green_albedo: mean(&albedo) };
+        let scene = Scene {
+            weak_phase: weak.as_ref(),
+            renderer: operator.as_deref().map(|o| o as _),
+            mean_green_albedo: mean(&albedo),
+        };
         let watch = &mut |p: heartian_space::Progress| context.progress(p.step, p.total, p.metric);
         let (pulse, report) = fit_phase(&reference, &scene, &self.options(), watch)?;
         let metrics = Metrics::new()

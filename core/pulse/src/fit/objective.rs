@@ -2,10 +2,10 @@
 
 use crate::error::PulseError;
 use crate::losses::{WaveformTarget, circular_loss};
-use crate::numeric::{mean, wrap};
+use crate::numeric::mean;
 use crate::phase::{Phase, PhaseGradient};
 use crate::reference::{Reference, WeakPhase};
-use crate::render_loss::RenderLoss;
+use crate::render_loss::BaseLoss;
 use crate::waveform::{Waveform, WaveformGradient};
 
 use super::PhaseOptions;
@@ -44,7 +44,7 @@ pub(super) struct Objective<'a> {
     pub reference: &'a Reference,
     pub target: &'a WaveformTarget,
     pub weak: Option<&'a WeakPhase>,
-    pub render: Option<&'a RenderLoss>,
+    pub render: Option<&'a dyn BaseLoss>,
     pub options: &'a PhaseOptions,
 }
 
@@ -54,12 +54,12 @@ impl Objective<'_> {
         let (weights, mut losses) = (&self.options.weights, Losses::default());
         let theta = variables.phase.theta();
         let mut to_theta = vec![0.0; theta.len()];
-        let wanted: Vec<f64> = self.reference.phase.iter().map(|&phase| wrap(phase)).collect();
-        losses.phase = circular_loss(&theta, &wanted, &self.reference.confidence, weights.phase, &mut to_theta);
+        losses.phase =
+            circular_loss(&theta, &self.reference.phase, &self.reference.confidence, weights.phase, &mut to_theta);
         if let Some(weak) = self.weak {
             losses.pos = circular_loss(&theta, &weak.theta, &weak.confidence, weights.pos, &mut to_theta);
         }
-        let shape = variables.waveform.evaluate(&theta);
+        let (shape, waves) = variables.waveform.evaluate_kept(&theta);
         let waveform_loss = self.target.loss(&shape, weights)?;
         (losses.mse, losses.pearson) = (waveform_loss.mse, waveform_loss.pearson);
         let mut to_shape = waveform_loss.gradient;
@@ -69,14 +69,14 @@ impl Objective<'_> {
             let level = if self.options.centred { mean(&shape) } else { 0.0 };
             let offsets: Vec<f64> = shape.iter().map(|value| scale * (value - level)).collect();
             let mut to_offsets = vec![0.0; offsets.len()];
-            losses.base = render.loss(&offsets, weights.base, &mut to_offsets);
+            losses.base = render.evaluate(&offsets, weights.base, &mut to_offsets)?;
             let average = if self.options.centred { mean(&to_offsets) } else { 0.0 };
             for ((to_shape, to_offset), offset) in to_shape.iter_mut().zip(&to_offsets).zip(&offsets) {
                 *to_shape += scale * (to_offset - average);
                 to_log_scale += to_offset * offset;
             }
         }
-        let mut waveform = variables.waveform.evaluate_vjp(&theta, &to_shape, &mut to_theta);
+        let mut waveform = variables.waveform.evaluate_vjp(&waves, &to_shape, &mut to_theta);
         losses.penalty = variables.waveform.penalty(&self.options.penalties, &mut waveform);
         let phase = variables.phase.theta_vjp(&to_theta);
         Ok((losses, VariablesGradient { phase, waveform, log_scale: to_log_scale }))
@@ -87,15 +87,16 @@ impl Objective<'_> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::numeric::wrap;
     use crate::phase::Parameterization;
     use crate::reference::Prescription;
-    use crate::render_loss::tests::made_up_operator;
+    use crate::render_loss::{RenderLoss, tests::made_up_operator};
 
     #[test]
     fn the_total_gradient_matches_finite_differences() {
         let times: Vec<f64> = (0..60).map(|t| f64::from(t) / 30.0).collect();
         let reference = Prescription { heart_rate_bpm: 80.0, ..Prescription::default() }.reference(&times).unwrap();
-        let target = WaveformTarget::new(&reference.waveform).unwrap();
+        let target = WaveformTarget::new(&reference.waveform, 30.0).unwrap();
         let weak = WeakPhase {
             theta: reference.phase.iter().map(|p| wrap(p + 0.3)).collect(),
             confidence: (0..60).map(|t| f64::from(t % 3) / 2.0).collect(),

@@ -74,11 +74,12 @@ fn descend(start: Waveform, template: &[f64], penalties: &PenaltyWeights) -> (f6
     let (mut best, mut scratch) = ((f64::INFINITY, start), vec![0.0; BINS]);
     for step in 0..STEPS {
         let waveform = Waveform::from_array(parameters);
-        let shape = normalise(&waveform.evaluate(&theta));
+        let (values, waves) = waveform.evaluate_kept(&theta);
+        let shape = normalise(&values);
         let errors = shape.values.iter().zip(template).map(|(shape, template)| shape - template);
         let pulled: Vec<f64> = errors.map(|error| 2.0 * error / BINS as f64).collect();
         let mse = pulled.iter().map(|g| (0.5 * g * BINS as f64).powi(2)).sum::<f64>() / BINS as f64;
-        let mut gradient = waveform.evaluate_vjp(&theta, &normalise_vjp(&shape, &pulled), &mut scratch);
+        let mut gradient = waveform.evaluate_vjp(&waves, &normalise_vjp(&shape, &pulled), &mut scratch);
         let total = mse + waveform.penalty(penalties, &mut gradient);
         if total < best.0 {
             best = (total, waveform);

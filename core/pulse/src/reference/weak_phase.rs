@@ -10,7 +10,7 @@ use heartian_signal::methods::{PosWindow, pos_trace};
 use heartian_signal::{Band, bandpass, detrend};
 
 use crate::error::{PulseError, check_length};
-use crate::losses::DETREND_LAMBDA;
+use crate::losses::DETREND;
 use crate::numeric::wrap;
 
 use super::Reference;
@@ -41,7 +41,7 @@ pub struct WeakPhase {
 pub fn weak_phase(rgb: &[[f64; 3]], reference: &Reference, window: PosWindow) -> Result<Option<WeakPhase>, PulseError> {
     check_length("the mean colours", reference.len(), rgb.len())?;
     let rate = reference.rate_hertz();
-    let trace = detrend(&pos_trace(rgb, rate, window)?, DETREND_LAMBDA)?;
+    let trace = detrend(&pos_trace(rgb, rate, window)?, DETREND.lambda(rate))?;
     let band = Band { low_hertz: Band::PAPER.low_hertz, high_hertz: Band::PAPER.high_hertz.min(0.45 * rate) };
     let filtered = bandpass(&trace, rate, band, 1)?;
     if filtered.iter().all(|value| value.abs() < 1e-15) {

@@ -42,7 +42,7 @@ fn the_bound_in_8_bit_levels_holds_for_every_offset() {
 fn the_photometric_loss_is_seen_and_stays_small() {
     let reference = reference(4.0);
     let operator = made_up_operator(120, 30, 40, 3);
-    let scene = Scene { operator: Some(&operator), mean_green_albedo: 0.3, ..Scene::default() };
+    let scene = Scene { renderer: Some(&operator), mean_green_albedo: 0.3, ..Scene::default() };
     let options = PhaseOptions { steps: 300, ..PhaseOptions::default() };
     let (pulse, report) = fit_phase(&reference, &scene, &options, &mut onwards).unwrap();
     let base = exact_l1(&operator, &vec![0.0; 120 * 40]);

@@ -31,8 +31,9 @@ fn seconds_against_error_of_the_phase_fit() {
             let options = PhaseOptions { start, parameterization, steps, calm_frames, ..PhaseOptions::default() };
             report(&name, &reference, &options, &format!("{start:?} {parameterization:?} {steps} {calm_frames}"));
         }
+        report(&name, &reference, &PhaseOptions::paper(), "paper");
         if reference.len() < 700 {
-            report(&name, &reference, &PhaseOptions::paper(), "paper");
+            report(&name, &reference, &PhaseOptions::to_the_letter(), "to the letter");
         }
     }
 }
