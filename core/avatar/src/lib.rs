@@ -5,6 +5,7 @@
 //! [`albedo_operator`] describes the render as a linear map from those offsets to pixels.
 
 mod avatar;
+pub mod blood;
 mod canonical;
 mod color;
 mod deform;
@@ -18,6 +19,7 @@ mod linear;
 mod motion;
 mod operator;
 mod optimiser;
+mod perfusion;
 #[cfg(test)]
 mod phantom;
 mod picture;
@@ -38,6 +40,7 @@ pub use error::AvatarError;
 pub use evaluate::{Score, evaluate};
 pub use motion::{FrameState, MotionModel};
 pub use operator::{OperatorOptions, albedo_operator};
+pub use perfusion::{PerfusionMap, perfusion};
 pub use refine::RefineOptions;
 pub use render::{RenderOptions, relight, render_clip};
 pub use rig::{JOINTS, POSE_SIZE, Pose, Rig};

@@ -61,11 +61,12 @@ pub(crate) struct PictureGradient {
     pub scene: SceneGradients,
 }
 
-/// What is added to the green albedo of some Gaussians.
+/// What is added to the albedo of some Gaussians: to green, and in proportion to it to red and blue unless that is empty.
 #[derive(Clone, Copy)]
-pub(crate) struct GreenOffsets<'a> {
+pub(crate) struct AlbedoOffsets<'a> {
     pub gaussians: &'a [u32],
-    pub offsets: &'a [f32],
+    pub green: &'a [f32],
+    pub red_blue: &'a [[f32; 2]],
 }
 
 impl Scene {
@@ -103,12 +104,18 @@ impl Scene {
         }
     }
 
-    /// Adds to the green albedo; the sum is kept within [0, 1].
-    pub fn add_green(&mut self, modulation: GreenOffsets<'_>) {
+    /// Adds to the albedo; the sum is kept within [0, 1].
+    pub fn add_albedo(&mut self, modulation: AlbedoOffsets<'_>) {
         let channels = self.kind.channels();
-        for (&index, offset) in modulation.gaussians.iter().zip(modulation.offsets) {
+        let offsets = modulation.gaussians.iter().zip(modulation.green);
+        for (&index, offset) in offsets.clone() {
             let green = &mut self.features[index as usize * channels + 1];
             *green = (*green + offset).clamp(0.0, 1.0);
+        }
+        for ((&index, offset), [red, blue]) in offsets.zip(modulation.red_blue) {
+            let albedo = &mut self.features[index as usize * channels..index as usize * channels + 3];
+            albedo[0] = (albedo[0] + red * offset).clamp(0.0, 1.0);
+            albedo[2] = (albedo[2] + blue * offset).clamp(0.0, 1.0);
         }
     }
 
@@ -292,14 +299,22 @@ mod tests {
     }
 
     #[test]
-    fn green_offsets_touch_green_alone_and_stay_in_range() {
+    fn offsets_touch_what_they_name_and_stay_in_range() {
         let (canonical, motion, camera) = blob();
         let plain = Scene::new(&canonical, &motion, &camera, Features::Materials);
-        let mut modulated = Scene::new(&canonical, &motion, &camera, Features::Materials);
-        modulated.add_green(GreenOffsets { gaussians: &[4, 9], offsets: &[0.01, 5.0] });
-        let changed: Vec<usize> =
-            (0..plain.features.len()).filter(|i| plain.features[*i] != modulated.features[*i]).collect();
+        let modulated = |red_blue: &[[f32; 2]]| {
+            let mut scene = Scene::new(&canonical, &motion, &camera, Features::Materials);
+            scene.add_albedo(AlbedoOffsets { gaussians: &[4, 9], green: &[0.01, 5.0], red_blue });
+            let changed: Vec<usize> =
+                (0..plain.features.len()).filter(|i| plain.features[*i] != scene.features[*i]).collect();
+            (scene, changed)
+        };
+        let (scene, changed) = modulated(&[]);
         assert_eq!(changed, [4 * 8 + 1, 9 * 8 + 1]);
-        assert_eq!(modulated.features[9 * 8 + 1], 1.0);
+        assert_eq!(scene.features[9 * 8 + 1], 1.0);
+        let (scene, changed) = modulated(&[[0.5, 0.25], [0.0, -1.0]]);
+        assert_eq!(changed, [4 * 8, 4 * 8 + 1, 4 * 8 + 2, 9 * 8 + 1, 9 * 8 + 2]);
+        assert!((scene.features[4 * 8] - plain.features[4 * 8] - 0.005).abs() < 1e-6);
+        assert_eq!(scene.features[9 * 8 + 2], 0.0);
     }
 }

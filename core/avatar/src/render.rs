@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::AvatarError;
 use crate::avatar::Avatar;
 use crate::motion::FrameState;
-use crate::picture::{Features, GreenOffsets, Scene};
+use crate::picture::{AlbedoOffsets, Features, Scene};
 
 /// What to render.
 #[derive(Clone, Debug, Default)]
@@ -21,7 +21,7 @@ pub struct RenderOptions<'a> {
     pub label: &'a str,
     /// Light instead of the recording's.
     pub environment: Option<&'a Environment>,
-    /// What is added to the green albedo of some Gaussians, frame by frame.
+    /// What is added to the albedo of some Gaussians, frame by frame.
     pub modulation: Option<&'a Modulation>,
     /// Side of the square picture instead of the recording's size, pixels.
     pub size: Option<usize>,
@@ -61,7 +61,8 @@ pub(crate) fn render_states(
         .map(|(index, state)| {
             let mut scene = Scene::new(&avatar.canonical, &avatar.motion.motion(state), &camera, Features::Materials);
             if let Some(modulation) = options.modulation {
-                scene.add_green(GreenOffsets { gaussians: &modulation.gaussians, offsets: modulation.frame(index) });
+                let Modulation { gaussians, red_blue, .. } = modulation;
+                scene.add_albedo(AlbedoOffsets { gaussians, green: modulation.frame(index), red_blue });
             }
             let picture = scene.picture(&camera)?;
             let linear = shade(&picture.frame, &camera, environment)?;

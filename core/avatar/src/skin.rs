@@ -68,6 +68,7 @@ pub fn select_skin(avatar: &Avatar, head: &HeadModel, options: &SkinOptions) -> 
         green_albedo: gaussians.iter().map(|&index| canonical.albedo(index as usize)[1]).collect(),
         distances_metres: chosen.iter().map(|(_, distance)| *distance).collect(),
         gaussians,
+        ..Skin::default()
     };
     Ok(skin.checked()?)
 }

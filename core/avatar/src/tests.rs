@@ -8,7 +8,7 @@ use heartian_space::{Clip, Modulation, Progress, Sequence, Skin};
 use heartian_splat::Environment;
 
 use crate::phantom;
-use crate::picture::{Features, GreenOffsets, Scene};
+use crate::picture::{AlbedoOffsets, Features, Scene};
 use crate::{
     Avatar, AvatarError, OperatorOptions, RenderOptions, SkinOptions, TrainOptions, TrainReport, albedo_operator,
     evaluate, relight, render_clip, select_skin, train,
@@ -80,6 +80,7 @@ fn a_modulation_of_nothing_changes_no_byte_and_of_something_only_green() -> Resu
         gaussians: skin.gaussians.clone(),
         times_seconds: track.times_seconds.clone(),
         offsets: vec![offset; skin.gaussians.len() * frames],
+        ..Modulation::default()
     };
     let render = |modulation: Option<&Modulation>| {
         render_clip(&avatar, &track, &RenderOptions { label: "rendered", modulation, ..Default::default() })
@@ -114,7 +115,7 @@ fn the_linear_map_predicts_the_modulated_render() -> Result<(), AvatarError> {
     let frame = 3;
     let state = &avatar.states[operator.frames[frame] as usize];
     let mut scene = Scene::new(&avatar.canonical, &avatar.motion.motion(state), &avatar.camera, Features::Materials);
-    scene.add_green(GreenOffsets { gaussians: &skin.gaussians, offsets: &offsets });
+    scene.add_albedo(AlbedoOffsets { gaussians: &skin.gaussians, green: &offsets, red_blue: &[] });
     let picture = scene.picture(&avatar.camera)?;
     let linear = heartian_splat::shade(&picture.frame, &avatar.camera, &avatar.environment)?;
     let mean: Vec<f32> = (0..256)

@@ -109,8 +109,12 @@ pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<Modulat
     let most = pulse.most_offset();
     let frame = |value: &f64| std::iter::repeat_n(value.clamp(-most, most) as f32, count);
     let offsets = pulse.fundamental.iter().flat_map(frame).collect();
-    let modulation =
-        Modulation { gaussians: skin.gaussians.clone(), times_seconds: pulse.times_seconds.clone(), offsets };
+    let modulation = Modulation {
+        gaussians: skin.gaussians.clone(),
+        times_seconds: pulse.times_seconds.clone(),
+        offsets,
+        red_blue: skin.red_blue.clone(),
+    };
     Ok(modulation.checked()?)
 }
 

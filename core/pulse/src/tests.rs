@@ -35,6 +35,7 @@ fn skin(count: usize) -> Skin {
         positions: (0..count).map(|_| std::array::from_fn(|_| (2.0 * random.unit() - 1.0) as f32)).collect(),
         green_albedo: (0..count).map(|_| (0.3 + 0.03 * random.normal()) as f32).collect(),
         distances_metres: vec![0.0; count],
+        ..Skin::default()
     }
 }
 

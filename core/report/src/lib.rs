@@ -5,7 +5,7 @@ mod figure;
 mod preview;
 mod sheet;
 
-pub use canvas::encode_png;
+pub use canvas::{decode_png, encode_png};
 pub use figure::{Curve, waveform_figure};
 pub use preview::encode_preview;
 pub use sheet::contact_sheet;
@@ -20,6 +20,19 @@ pub enum ReportError {
     /// The PNG writer refused.
     #[error("PNG encoding failed: {0}")]
     Png(#[from] png::EncodingError),
+    /// The PNG reader refused.
+    #[error("it is no PNG picture that can be read: {0}")]
+    Decoding(#[from] png::DecodingError),
+    /// A picture too large to read.
+    #[error("a picture of {width}×{height} pixels is too large; give one of at most {most} a side")]
+    Size {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Most that is read.
+        most: u32,
+    },
     /// Nothing to draw.
     #[error("there is no {0} to draw")]
     Nothing(&'static str),

@@ -22,6 +22,6 @@ pub use image::Rgb8Image;
 pub use metrics::Metrics;
 pub use progress::Progress;
 pub use series::Series;
-pub use skin::{Modulation, Skin};
+pub use skin::{Modulation, Perfusion, Skin};
 pub use sparse::AlbedoOperator;
 pub use traces::{Trace, Traces};

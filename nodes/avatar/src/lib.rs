@@ -8,4 +8,4 @@ mod skin_selector;
 pub use baseline_trainer::BaselineTrainer;
 pub use relighter::Relighter;
 pub use renderer::Renderer;
-pub use skin_selector::SkinSelector;
+pub use skin_selector::{Blood, SkinSelector};

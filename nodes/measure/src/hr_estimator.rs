@@ -100,9 +100,10 @@ mod tests {
             positions: vec![[0.0; 3]; 2],
             green_albedo: vec![0.3, 0.4],
             distances_metres: vec![0.0; 2],
+            ..Skin::default()
         };
         let reference = Series::new(times.clone(), times.iter().map(wave(72.0)).collect()).unwrap();
-        let modulation = Modulation { gaussians: vec![3, 8], times_seconds: times, offsets };
+        let modulation = Modulation { gaussians: vec![3, 8], times_seconds: times, offsets, ..Modulation::default() };
         Inputs::new()
             .with("skin", AnyArtifact::new(skin))
             .with("modulation", AnyArtifact::new(modulation))

@@ -72,8 +72,12 @@ pub fn evaluate_all(pulse: &Pulse, skin: &Skin, evaluation: &Evaluation) -> Resu
             limited
         })
         .sum();
-    let modulation =
-        Modulation { gaussians: skin.gaussians.clone(), times_seconds: pulse.times_seconds.clone(), offsets: table };
+    let modulation = Modulation {
+        gaussians: skin.gaussians.clone(),
+        times_seconds: pulse.times_seconds.clone(),
+        offsets: table,
+        red_blue: skin.red_blue.clone(),
+    };
     Ok((modulation.checked()?, limited))
 }
 
