@@ -152,6 +152,20 @@ impl Problems {
         self.0.push(problem);
     }
 
+    /// In the order of files and places; what is said of one place in the same words is said once, as when a subgraph
+    /// with a mistake is used twice.
+    pub(crate) fn sort(&mut self) {
+        let place = |problem: &Problem| (problem.place.source.name.clone(), problem.place.span.start);
+        self.0.sort_by_cached_key(|problem| (place(problem), problem.message.clone()));
+        self.0.dedup_by(|a, b| {
+            let also = |problem: &Problem| problem.also.as_ref().map(|(place, _)| place.span);
+            Arc::ptr_eq(&a.place.source, &b.place.source)
+                && place(a) == place(b)
+                && a.message == b.message
+                && also(a) == also(b)
+        });
+    }
+
     /// `value` if there are no problems.
     ///
     /// # Errors

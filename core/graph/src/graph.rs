@@ -1,16 +1,23 @@
-//! A graph as its files say it, overlays merged, nothing looked up in a registry yet.
+//! A graph as its files say it, overlays merged and subgraphs laid out flat, nothing looked up in a registry yet.
 //!
-//! Always holds: node ids are unique; every part knows the file, line and column it came from.
+//! Always holds: node ids are unique; every part knows the file, line and column it came from. A node inside a subgraph
+//! has the id `instance/node`; what it is called inside its own file is [`NodeSpec::local`].
 
 mod document;
+mod expand;
 mod overlay;
+mod scope;
+mod set;
 
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::diagnostic::{Place, Problem, Problems, Source, suggest};
-use crate::syntax::{Span, Spanned, Tree, read_prefixed};
+use crate::diagnostic::{Place, Problems, Source};
+use crate::syntax::Spanned;
+
+pub(crate) use document::InputEntry;
+pub(crate) use scope::{Origin, Resolved, Scope, resolve};
 
 /// A value and where it came from.
 #[derive(Clone, Debug)]
@@ -27,12 +34,37 @@ pub(crate) struct ParamValue {
     pub place: Place,
 }
 
+/// One end that feeds a wire.
+#[derive(Clone, Debug)]
+pub(crate) struct Feed {
+    /// `node.port` with the node's full id; nothing when what the file says leads nowhere, which is reported.
+    pub output: Option<String>,
+    /// What the file says, and where.
+    pub said: Located<String>,
+    /// The subgraph's input it comes through, by index into [`Graph::gates`].
+    pub gate: Option<usize>,
+    /// It leads over the border of a subgraph, where a wrong name is reported.
+    pub indirect: bool,
+}
+
 /// What feeds one input port.
 #[derive(Clone, Debug)]
 pub(crate) struct WireSpec {
     pub port: Located<String>,
-    /// `node.port`, each.
-    pub from: Vec<Located<String>>,
+    pub from: Vec<Feed>,
+}
+
+/// An input of a subgraph, and what the graph around it wires to it.
+#[derive(Clone, Debug)]
+pub(crate) struct Gate {
+    pub input: InputEntry,
+    pub from: Vec<Feed>,
+    /// The instance as `id (file)`, and its id's place; nothing for the outermost graph.
+    pub instance: Option<Located<String>>,
+    /// What precedes the ids of the file that the instance stands in.
+    pub prefix: String,
+    /// Where the wire is, if there is one.
+    pub wire: Option<Place>,
 }
 
 /// One node of a graph file.
@@ -42,19 +74,25 @@ pub(crate) struct NodeSpec {
     pub kind: Located<String>,
     pub params: Vec<(Located<String>, ParamValue)>,
     pub inputs: Vec<WireSpec>,
+    /// Where its `$name`s are looked up, by index into [`Graph::scopes`].
+    pub scope: usize,
     /// Some part of it could not be read, which is reported; checking the rest would invent mistakes.
     pub broken: bool,
 }
 
-/// A graph, overlays merged.
+/// A graph, overlays merged, subgraphs laid out.
 #[derive(Clone, Debug)]
 pub struct Graph {
     name: String,
     doc: String,
     seed: u64,
-    source: Arc<Source>,
-    pub(crate) exports: Vec<Located<String>>,
+    sources: Vec<Arc<Source>>,
+    pub(crate) exports: Vec<Feed>,
+    /// Exports of the subgraphs.
+    pub(crate) inner_exports: Vec<Feed>,
     pub(crate) nodes: Vec<NodeSpec>,
+    pub(crate) gates: Vec<Gate>,
+    pub(crate) scopes: Vec<Scope>,
     index: HashMap<String, usize>,
     /// What is wrong so far; [`Graph::plan`] adds its own.
     pub(crate) problems: Problems,
@@ -66,12 +104,14 @@ pub struct Graph {
 pub enum GraphError {
     /// The file cannot be read.
     #[error("cannot read the graph `{path}`: {reason}")]
-    #[diagnostic(help("check the path; graphs that come with Heartian lie in `graphs/`"))]
+    #[diagnostic(help("{remedy}"))]
     Read {
         /// The file.
         path: String,
         /// What the system says.
         reason: String,
+        /// What to do.
+        remedy: String,
     },
     /// The graph says something impossible.
     #[error(transparent)]
@@ -80,21 +120,21 @@ pub enum GraphError {
 }
 
 impl Graph {
-    /// Reads a graph file and the files it extends. What can be read past is kept for [`Graph::plan`] to report with the
-    /// rest.
+    /// Reads a graph file, the files it extends and those its nodes are made of. What can be read past is kept for
+    /// [`Graph::plan`] to report with the rest.
     ///
     /// # Errors
     /// When a file cannot be read or is not RON.
     pub fn load(path: &Path) -> Result<Self, GraphError> {
-        overlay::load(path)
+        expand::load(path)
     }
 
-    /// Reads a graph from text; `name` stands for the file in errors and is where `extends` is looked up from.
+    /// Reads a graph from text; `name` stands for the file in errors and is where other files are looked up from.
     ///
     /// # Errors
     /// When a file cannot be read or is not RON.
     pub fn parse(name: &str, text: &str) -> Result<Self, GraphError> {
-        overlay::parse(Path::new(name), text.to_owned())
+        expand::parse(Path::new(name), text.to_owned())
     }
 
     /// The graph's name.
@@ -114,12 +154,17 @@ impl Graph {
 
     /// The file it was read from, as given.
     pub fn file(&self) -> &str {
-        self.source.name()
+        self.sources.first().map_or("", |source| source.name())
     }
 
-    /// The file's text (not that of the files it extends).
+    /// The file's text (not that of the other files).
     pub fn text(&self) -> &str {
-        self.source.text()
+        self.sources.first().map_or("", |source| source.text())
+    }
+
+    /// All files read, as names and texts: the graph's own first, then what it extends, then its subgraphs.
+    pub fn files(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.sources.iter().map(|source| (source.name(), source.text()))
     }
 
     pub(crate) fn node_index(&self, id: &str) -> Option<usize> {
@@ -130,52 +175,22 @@ impl Graph {
         self.nodes.iter().map(|node| node.id.value.as_str())
     }
 
-    /// Applies `node.param=value` from the command line. The value is RON; what is not RON, or does not fit the
-    /// parameter, is taken as a string. Mistakes are kept for [`Graph::plan`] to report.
-    pub fn set(&mut self, argument: &str) {
-        if let Err(problems) = self.try_set(argument) {
-            self.problems.0.extend(problems.0);
-        }
-    }
-
-    fn try_set(&mut self, argument: &str) -> Result<(), Problems> {
-        let source = Source::new("--set", argument.to_owned());
-        let place = |start: usize, end: usize| Place { source: source.clone(), span: Span { start, end } };
-        let whole = place(0, argument.len());
-        let form = || {
-            Problem::new(&whole, "this is not of the form `node.param=value`")
-                .help("for example `--set phase.heart_rate_bpm=96`")
-        };
-        let (target, raw) = argument.split_once('=').ok_or_else(form)?;
-        let (id, param) = target.rsplit_once('.').ok_or_else(form)?;
-        let Some(index) = self.node_index(id) else {
-            let problem = Problem::new(&place(0, id.len()), format!("the graph has no node `{id}`"));
-            return Err(problem.maybe_help(suggest(id, self.node_ids(), "nodes")).into());
-        };
-        let span = Span { start: target.len() + 1, end: argument.len() };
-        let value = ParamValue {
-            tree: read_prefixed(argument, span.start).ok(),
-            bare: Some(Spanned { span, tree: Tree::Text(raw.to_owned()) }),
-            place: place(span.start, span.end),
-        };
-        let name = Located { value: param.to_owned(), place: place(id.len() + 1, target.len()) };
-        self.nodes[index].set_param(name, value);
-        Ok(())
+    /// What the ids below `prefix` are called there; a subgraph counts once.
+    pub(crate) fn local_ids<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = &'a str> {
+        let below = self.node_ids().filter_map(move |id| id.strip_prefix(prefix));
+        let mut last = None;
+        below.map(|id| id.split('/').next().unwrap_or(id)).filter(move |id| last.replace(*id) != Some(*id))
     }
 }
 
 impl NodeSpec {
-    fn set_param(&mut self, name: Located<String>, value: ParamValue) {
-        match self.params.iter_mut().find(|(known, _)| known.value == name.value) {
-            Some(param) => *param = (name, value),
-            None => self.params.push((name, value)),
-        }
+    /// What precedes the local name of ids in the same file: `` or `instance/`.
+    pub fn prefix(&self) -> &str {
+        self.id.value.rfind('/').map_or("", |slash| &self.id.value[..=slash])
     }
 
-    fn set_wire(&mut self, wire: WireSpec) {
-        match self.inputs.iter_mut().find(|known| known.port.value == wire.port.value) {
-            Some(known) => *known = wire,
-            None => self.inputs.push(wire),
-        }
+    /// Its id as its own file says it.
+    pub fn local(&self) -> &str {
+        &self.id.value[self.prefix().len()..]
     }
 }

@@ -86,12 +86,13 @@ impl Graph {
             self.nodes.iter().map(|node| find_kind(node, registry, &mut problems)).collect();
         let nodes = self.nodes.iter().zip(&kinds);
         let mut built: Vec<Option<Built>> =
-            nodes.map(|(node, kind)| kind.and_then(|kind| params::build(node, kind, &mut problems))).collect();
-        let wires = wires::connect(self, &kinds, &mut problems);
+            nodes.map(|(node, kind)| kind.and_then(|kind| params::build(self, node, kind, &mut problems))).collect();
+        let wiring = wires::Wiring { graph: self, kinds: &kinds };
+        let wires = wiring.connect(registry, &mut problems);
         let order = order::Order::of(self, &wires);
-        order.report_cycle(self, &mut problems);
+        order.report_cycles(self, &mut problems);
         let targets = self.targets(targets, &mut problems);
-        let exports = wires::exports(self, &kinds, &mut problems);
+        let exports = wiring.exports(&mut problems);
         if self.nodes.is_empty() && problems.0.is_empty() {
             let start = Place { source: Source::new(self.file(), self.text().to_owned()), span: Span::default() };
             problems.push(Problem::new(&start, "the graph has no nodes"));
@@ -99,11 +100,11 @@ impl Graph {
         let needed = order.needed(&targets);
         for index in &needed {
             if let Some(built) = &built[*index] {
-                check_sources(&self.nodes[*index].id.value, built, &self.nodes[*index].id.place, &mut problems);
+                check_sources(self.nodes[*index].local(), built, &self.nodes[*index].id.place, &mut problems);
             }
         }
         if !problems.0.is_empty() {
-            problems.0.sort_by_key(|problem| (problem.place().source.name().to_owned(), problem.place().span.start));
+            problems.sort();
             return Err(problems);
         }
         let position: BTreeMap<usize, usize> = needed.iter().enumerate().map(|(at, index)| (*index, at)).collect();
@@ -134,14 +135,18 @@ impl Graph {
         }
         let mut found = Vec::new();
         for target in targets {
+            let before = found.len();
+            // A subgraph stands for all its nodes.
+            let inside = format!("{target}/");
             match self.node_index(target) {
                 Some(index) => found.push(index),
-                None => {
-                    let span = Span { start: 0, end: target.len() };
-                    let place = Place { source: Source::new("--target", target.clone()), span };
-                    let problem = Problem::new(&place, format!("the graph has no node `{target}`"));
-                    problems.push(problem.maybe_help(suggest(target, self.node_ids(), "nodes")));
-                }
+                None => found.extend((0..self.nodes.len()).filter(|at| self.nodes[*at].id.value.starts_with(&inside))),
+            }
+            if found.len() == before {
+                let span = Span { start: 0, end: target.len() };
+                let place = Place { source: Source::new("--target", target.clone()), span };
+                let problem = Problem::new(&place, format!("the graph has no node `{target}`"));
+                problems.push(problem.maybe_help(suggest(target, self.node_ids(), "nodes")));
             }
         }
         found

@@ -42,6 +42,8 @@ pub(crate) enum Tree {
     Text(String),
     /// A lone word: an enum variant or `None`.
     Word(String),
+    /// `$name`: stands for a graph's parameter, or for its input where a wire is expected.
+    Reference(String),
     List(Vec<Spanned>),
     Map(Vec<(Spanned, Spanned)>),
     Tuple {
@@ -63,6 +65,7 @@ impl Tree {
             Self::Char(_) => "a character",
             Self::Text(_) => "a string",
             Self::Word(_) => "a bare word",
+            Self::Reference(_) => "a reference",
             Self::List(_) => "a list",
             Self::Map(_) => "a map",
             Self::Tuple { .. } => "a tuple",
@@ -72,14 +75,46 @@ impl Tree {
 }
 
 impl Spanned {
+    /// The name that this whole value refers to: `$name`, or `"$name"` for editors that know only plain RON.
+    pub fn reference(&self) -> Option<&str> {
+        match &self.tree {
+            Tree::Reference(name) => Some(name),
+            Tree::Text(text) => text.strip_prefix('$').filter(|name| is_name(name)),
+            _ => None,
+        }
+    }
+
+    /// Values directly inside it.
+    pub fn children(&self) -> Box<dyn Iterator<Item = &Self> + '_> {
+        match &self.tree {
+            Tree::List(items) | Tree::Tuple { items, .. } => Box::new(items.iter()),
+            Tree::Struct { fields, .. } => Box::new(fields.iter().map(|(_, value)| value)),
+            Tree::Map(pairs) => Box::new(pairs.iter().flat_map(|(key, value)| [key, value])),
+            _ => Box::new(std::iter::empty()),
+        }
+    }
+
+    /// The same, to be changed.
+    pub fn children_mut(&mut self) -> Box<dyn Iterator<Item = &mut Self> + '_> {
+        match &mut self.tree {
+            Tree::List(items) | Tree::Tuple { items, .. } => Box::new(items.iter_mut()),
+            Tree::Struct { fields, .. } => Box::new(fields.iter_mut().map(|(_, value)| value)),
+            Tree::Map(pairs) => Box::new(pairs.iter_mut().flat_map(|(key, value)| [key, value])),
+            _ => Box::new(std::iter::empty()),
+        }
+    }
+
     /// The first number in it that is not finite.
     pub fn non_finite(&self) -> Option<&Self> {
         match &self.tree {
             Tree::Float(value) if !value.is_finite() => Some(self),
-            Tree::List(items) | Tree::Tuple { items, .. } => items.iter().find_map(Self::non_finite),
-            Tree::Struct { fields, .. } => fields.iter().find_map(|(_, value)| value.non_finite()),
-            Tree::Map(pairs) => pairs.iter().find_map(|(key, value)| key.non_finite().or(value.non_finite())),
-            _ => None,
+            _ => self.children().find_map(Self::non_finite),
         }
     }
+}
+
+/// Whether a word can stand after `$`.
+pub(crate) fn is_name(word: &str) -> bool {
+    let first = |c: char| c.is_ascii_alphabetic() || c == '_';
+    word.starts_with(first) && word.chars().all(|c| first(c) || c.is_ascii_digit())
 }

@@ -41,7 +41,8 @@ fn everything_wrong_is_said_at_once_in_the_order_of_the_file() {
         "g.ron:6:41: node `e`: parameter `amount` is 1000; it must be from -100 to 100 units (What is added.)",
         "g.ron:6:68: `d.word` gives `word`, but `e.numbers` takes `numbers` \
          (outputs that fit: b.numbers, c.numbers, f.numbers, g.numbers)",
-        "g.ron:7:5: node `f` (Sum) needs its input `terms` (`terms` carries `numbers`: What is added.)",
+        "g.ron:7:5: node `f` (Sum) needs its input `terms` (`terms` carries `numbers`: What is added. \
+         (outputs that fit: b.numbers, c.numbers, e.numbers, g.numbers))",
         "g.ron:7:33: node `f` (Sum) has no input `term` (did you mean `terms`?)",
         "g.ron:8:58: `g.numbers` takes one wire, not 2",
     ];
@@ -82,7 +83,7 @@ fn cycles_are_printed_as_their_path() {
 })"#,
     );
     assert_eq!(found.len(), 1, "{found:?}");
-    assert!(found[0].contains("these nodes wait for one another: c → a → b → c"), "{found:?}");
+    assert!(found[0].contains("these nodes wait for one another: a → b → c → a"), "{found:?}");
     let itself = check(r#"(nodes: {"a": (kind: "Add", inputs: {"numbers": "a.numbers"})})"#);
     assert_eq!(
         itself,

@@ -125,7 +125,7 @@ fn set_mistakes_point_into_the_argument() {
         "--set:1:1: this is not of the form `node.param=value` (for example `--set phase.heart_rate_bpm=96`)",
         "--set:1:1: this is not of the form `node.param=value` (for example `--set phase.heart_rate_bpm=96`)",
         "--set:1:3: node `b` (Add) has no parameter `amonut` (did you mean `amount`?)",
-        "--set:1:3: node `c` (Sum) has no parameter `terms`",
+        "--set:1:3: node `c` (Sum) has no parameter `terms` (it takes none)",
         "--set:1:10: node `a`: parameter `values`: invalid type: string \"nonsense\", expected a sequence (The numbers.)",
     ];
     assert_eq!(found, expected);

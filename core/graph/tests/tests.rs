@@ -7,4 +7,5 @@ mod failures;
 mod nodes;
 mod overlays;
 mod reading;
+mod reuse;
 mod scale;

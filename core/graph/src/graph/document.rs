@@ -4,17 +4,43 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::diagnostic::{Place, Problem, Problems, Source, suggest};
-use crate::syntax::{Name, Span, Spanned, SyntaxError, Tree, read};
+use crate::syntax::{Name, Span, Spanned, SyntaxError, Tree, is_name, read};
 
-use super::{Located, ParamValue, WireSpec};
+use super::{Located, ParamValue};
+
+/// What feeds one input port, as the file says it.
+#[derive(Clone, Debug)]
+pub(super) struct WireEntry {
+    pub port: Located<String>,
+    /// `node.port` or `$input`, each.
+    pub from: Vec<Located<String>>,
+}
+
+/// An input that a graph takes when it is a node of another graph.
+#[derive(Clone, Debug)]
+pub(crate) struct InputEntry {
+    pub name: Located<String>,
+    /// Name of the artifact type it carries.
+    pub artifact: Located<String>,
+    pub optional: bool,
+    /// Takes a list of wires.
+    pub many: bool,
+}
+
+/// An output that a graph gives: `node.port` under a name, which is the port's own unless the file says another.
+#[derive(Clone, Debug)]
+pub(super) struct ExportEntry {
+    pub name: Located<String>,
+    pub output: Located<String>,
+}
 
 /// A node as one file says it; an overlay may leave out the kind.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct NodeEntry {
     pub id: Located<String>,
     pub kind: Option<Located<String>>,
     pub params: Vec<(Located<String>, ParamValue)>,
-    pub inputs: Vec<WireSpec>,
+    pub inputs: Vec<WireEntry>,
     /// Some part could not be read, which is reported.
     pub broken: bool,
 }
@@ -27,13 +53,16 @@ pub(super) struct Document {
     pub seed: Option<u64>,
     pub extends: Option<Located<String>>,
     pub remove: Vec<Located<String>>,
-    pub exports: Option<Vec<Located<String>>>,
+    pub params: Vec<(Located<String>, ParamValue)>,
+    pub inputs: Option<Vec<InputEntry>>,
+    pub exports: Option<Vec<ExportEntry>>,
     pub nodes: Vec<NodeEntry>,
     /// The text is not RON, which is reported; nothing of it is here.
     pub unreadable: bool,
 }
 
-const GRAPH_FIELDS: [&str; 7] = ["name", "doc", "seed", "extends", "remove", "exports", "nodes"];
+const GRAPH_FIELDS: [&str; 9] = ["name", "doc", "seed", "extends", "remove", "params", "inputs", "exports", "nodes"];
+const INPUT_FIELDS: [&str; 3] = ["artifact", "optional", "many"];
 const NODE_FIELDS: [&str; 3] = ["kind", "params", "inputs"];
 
 /// Reads one file's text; the document holds what could be read, `problems` the rest.
@@ -158,7 +187,13 @@ impl Reader<'_> {
                 "seed" => document.seed = self.seed(value),
                 "extends" => document.extends = self.text("a file name as a string", value),
                 "remove" => document.remove = self.texts("a list of node ids", value),
-                "exports" => document.exports = Some(self.texts("a list of \"node.port\"", value)),
+                "params" => document.params = self.graph_params(value),
+                "inputs" => {
+                    let entries = self.entries("a map from inputs to artifact types", "input", value);
+                    document.inputs =
+                        Some(entries.into_iter().filter_map(|(name, value)| self.input(name, value)).collect());
+                }
+                "exports" => document.exports = Some(self.exports(value)),
                 "nodes" => {
                     let entries = self.entries("a map of nodes", "node", value);
                     document.nodes = entries.into_iter().map(|(id, value)| self.node(id, value)).collect();
@@ -204,18 +239,100 @@ impl Reader<'_> {
 
     fn params(&mut self, value: &Spanned) -> Vec<(Located<String>, ParamValue)> {
         let fields = self.fields("parameters in parentheses, `(name: value)`", value);
-        let param = |(name, value): &(Name, Spanned)| {
-            let name = self.located(name.span, &name.text);
-            (name, ParamValue { tree: Some(value.clone()), bare: None, place: self.place(value.span) })
-        };
-        fields.into_iter().map(param).collect()
+        fields.into_iter().map(|(name, value)| self.param(self.located(name.span, &name.text), value)).collect()
     }
 
-    fn wire(&mut self, port: Located<String>, value: &Spanned) -> WireSpec {
-        let from = match &value.tree {
-            Tree::Text(text) => vec![self.located(value.span, text)],
-            _ => self.texts("\"node.port\" or a list of them", value),
-        };
-        WireSpec { port, from }
+    fn param(&self, name: Located<String>, value: &Spanned) -> (Located<String>, ParamValue) {
+        (name, ParamValue { tree: Some(value.clone()), bare: None, place: self.place(value.span) })
     }
+
+    /// The graph's own parameters: names that nodes use as `$name`. Their values are plain.
+    fn graph_params(&mut self, value: &Spanned) -> Vec<(Located<String>, ParamValue)> {
+        let entries = match &value.tree {
+            Tree::Map(_) => self.entries("a map of parameters", "parameter", value),
+            _ => {
+                let fields = self.fields("a map of parameters, `{\"name\": value}`", value);
+                fields.into_iter().map(|(name, value)| (self.located(name.span, &name.text), value)).collect()
+            }
+        };
+        let mut params = Vec::with_capacity(entries.len());
+        for (name, value) in entries {
+            if !is_name(&name.value) {
+                let problem = Problem::new(&name.place, format!("`{}` cannot be a parameter's name", name.value));
+                self.problems.push(problem.help("use letters, digits and `_`, so that `$name` can be written"));
+            } else if let Some(inner) = find_reference(value) {
+                let message = format!("the graph's parameter `{}` refers to another", name.value);
+                self.problems.push(Problem::new(&self.place(inner), message).help("give it a plain value"));
+            } else {
+                params.push(self.param(name, value));
+            }
+        }
+        params
+    }
+
+    fn input(&mut self, name: Located<String>, value: &Spanned) -> Option<InputEntry> {
+        let mut entry = InputEntry { artifact: name.clone(), name, optional: false, many: false };
+        if !is_name(&entry.name.value) {
+            let problem = Problem::new(&entry.name.place, format!("`{}` cannot be an input's name", entry.name.value));
+            self.problems.push(problem.help("use letters, digits and `_`, so that `$name` can be written"));
+            return None;
+        }
+        if let Tree::Text(text) = &value.tree {
+            entry.artifact = self.located(value.span, text);
+            return Some(entry);
+        }
+        let mut named = false;
+        for (field, value) in self.fields("an artifact type, or `(artifact: \"..\", optional: true)`", value) {
+            match (field.text.as_str(), &value.tree) {
+                ("artifact", Tree::Text(text)) => (entry.artifact, named) = (self.located(value.span, text), true),
+                ("optional", Tree::Bool(flag)) => entry.optional = *flag,
+                ("many", Tree::Bool(flag)) => entry.many = *flag,
+                ("artifact", _) => self.expected("an artifact type as a string", value),
+                ("optional" | "many", _) => self.expected("`true` or `false`", value),
+                _ => self.unknown(field, &INPUT_FIELDS, "an input"),
+            }
+        }
+        named.then_some(entry)
+    }
+
+    fn exports(&mut self, value: &Spanned) -> Vec<ExportEntry> {
+        if let Tree::Map(_) = &value.tree {
+            let entries = self.entries("a map from names to \"node.port\"", "export", value);
+            let named = |(name, value)| Some(ExportEntry { name, output: self.text("\"node.port\"", value)? });
+            return entries.into_iter().filter_map(named).collect();
+        }
+        let listed = self.texts("a list of \"node.port\", or a map from names to them", value);
+        let named = |output: Located<String>| {
+            let port = output.value.rsplit('.').next().unwrap_or_default();
+            ExportEntry { name: Located { value: port.to_owned(), place: output.place.clone() }, output }
+        };
+        listed.into_iter().map(named).collect()
+    }
+
+    fn wire(&mut self, port: Located<String>, value: &Spanned) -> WireEntry {
+        let what = "\"node.port\" or a list of them";
+        let before = self.problems.0.len();
+        let mut from = Vec::new();
+        let items = match &value.tree {
+            Tree::List(items) => items.as_slice(),
+            _ => std::slice::from_ref(value),
+        };
+        for item in items {
+            match &item.tree {
+                Tree::Text(text) => from.push(self.located(item.span, text)),
+                Tree::Reference(name) => from.push(self.located(item.span, &format!("${name}"))),
+                _ if self.problems.0.len() == before => self.expected(what, item),
+                _ => {}
+            }
+        }
+        WireEntry { port, from }
+    }
+}
+
+/// The place of the first `$name` in a value.
+fn find_reference(value: &Spanned) -> Option<Span> {
+    if value.reference().is_some() {
+        return Some(value.span);
+    }
+    value.children().find_map(find_reference)
 }

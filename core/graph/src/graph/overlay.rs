@@ -5,41 +5,73 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::diagnostic::{Place, Problem, Problems, Source, suggest};
+use crate::syntax::Spanned;
 
-use super::document::{Document, NodeEntry, read_document};
-use super::{Graph, GraphError, Located, NodeSpec};
+use super::document::{Document, ExportEntry, InputEntry, NodeEntry, WireEntry, read_document};
+use super::{Located, ParamValue};
 
 /// Longer chains of `extends` are refused.
 const CHAIN_LIMIT: usize = 32;
 /// Larger graph files are refused.
 const BYTES_LIMIT: u64 = 256 << 20;
 
-pub(super) fn load(path: &Path) -> Result<Graph, GraphError> {
-    let text = read_text(path).map_err(|reason| GraphError::Read { path: path.display().to_string(), reason })?;
-    parse(path, text)
+/// A graph file merged with what it extends, its subgraphs not yet looked into.
+#[derive(Debug, Default)]
+pub(super) struct Part {
+    pub name: String,
+    pub doc: String,
+    pub seed: u64,
+    /// The file and those it extends.
+    pub sources: Vec<Arc<Source>>,
+    pub params: Vec<(Located<String>, ParamValue)>,
+    pub inputs: Vec<InputEntry>,
+    pub exports: Vec<ExportEntry>,
+    pub nodes: Vec<NodeEntry>,
+    index: HashMap<String, usize>,
 }
 
-pub(super) fn parse(path: &Path, text: String) -> Result<Graph, GraphError> {
-    let mut problems = Problems::default();
-    let chain = read_chain(path, text, &mut problems);
-    // A base that could not be read would make every mention of its nodes a second, false mistake.
-    let complete = chain.iter().all(|(_, document)| !document.unreadable)
-        && chain.last().is_some_and(|(_, document)| document.extends.is_none());
-    if !complete {
-        return Err(problems.into());
+impl Part {
+    pub fn node(&self, id: &str) -> Option<&NodeEntry> {
+        self.index.get(id).map(|index| &self.nodes[*index])
     }
-    let mut graph = merge(chain, &mut problems);
-    graph.problems = problems;
-    Ok(graph)
+
+    fn ids(&self) -> impl Iterator<Item = &str> {
+        self.nodes.iter().map(|node| node.id.value.as_str())
+    }
 }
 
-fn read_text(path: &Path) -> Result<String, String> {
+pub(super) fn read_text(path: &Path) -> Result<String, String> {
     let size = std::fs::metadata(path).map_err(|error| error.to_string())?.len();
     if size > BYTES_LIMIT {
         return Err(format!("it has {size} bytes; a graph has at most {BYTES_LIMIT}"));
     }
     let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
     String::from_utf8(bytes).map_err(|error| format!("it is not UTF-8 text ({error})"))
+}
+
+/// What to try when a file cannot be read: the file of that folder with the nearest name, or else `otherwise`.
+pub(super) fn nearest_file(path: &Path, otherwise: &str) -> String {
+    let wanted = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().take(crate::diagnostic::CANDIDATES);
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.retain(|name| name.ends_with(".ron") && *name != wanted);
+    names.sort();
+    let proposal = suggest(&wanted, names.iter().map(String::as_str), "").filter(|text| text.starts_with("did"));
+    proposal.map_or(otherwise.to_owned(), |proposal| format!("{proposal} {otherwise}"))
+}
+
+pub(super) fn identity(path: &Path) -> PathBuf {
+    std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// Reads a file with what it extends. Nothing when a file of the chain cannot be read: then every mention of its nodes
+/// would be a second, false mistake.
+pub(super) fn read_part(path: &Path, text: String, problems: &mut Problems) -> Option<Part> {
+    let chain = read_chain(path, text, problems);
+    let complete = chain.iter().all(|(_, document)| !document.unreadable)
+        && chain.last().is_some_and(|(_, document)| document.extends.is_none());
+    complete.then(|| merge(path, chain, problems))
 }
 
 /// The file and those it extends, topmost overlay first.
@@ -64,7 +96,8 @@ fn read_chain(path: &Path, text: String, problems: &mut Problems) -> Vec<(Arc<So
                 Ok(text) => next = Some((base, text)),
                 Err(reason) => {
                     let message = format!("cannot extend `{}`: {reason}", base.display());
-                    problems.push(Problem::new(&extends.place, message).help("the path is relative to this file"));
+                    let help = nearest_file(&base, "the path is relative to this file");
+                    problems.push(Problem::new(&extends.place, message).help(help));
                 }
             }
         }
@@ -73,69 +106,96 @@ fn read_chain(path: &Path, text: String, problems: &mut Problems) -> Vec<(Arc<So
     chain
 }
 
-fn identity(path: &Path) -> PathBuf {
-    std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
-}
-
-fn merge(chain: Vec<(Arc<Source>, Document)>, problems: &mut Problems) -> Graph {
-    let source = chain.first().map_or_else(|| Source::new("", String::new()), |(source, _)| source.clone());
-    let mut graph = Graph {
-        name: Path::new(source.name()).file_stem().map_or("graph".into(), |stem| stem.to_string_lossy().into_owned()),
-        doc: String::new(),
-        seed: 0,
-        source,
-        exports: Vec::new(),
-        nodes: Vec::new(),
-        index: HashMap::new(),
-        problems: Problems::default(),
-    };
-    for (_, document) in chain.into_iter().rev() {
-        overlay(&mut graph, document, problems);
+fn merge(path: &Path, chain: Vec<(Arc<Source>, Document)>, problems: &mut Problems) -> Part {
+    let stem = path.file_stem().map_or("graph".into(), |stem| stem.to_string_lossy().into_owned());
+    let mut part = Part { name: stem, ..Part::default() };
+    part.sources = chain.iter().map(|(source, _)| source.clone()).collect();
+    let mut late: Vec<Located<String>> = Vec::new();
+    for (height, (_, document)) in chain.into_iter().rev().enumerate() {
+        let known: HashSet<String> = part.params.iter().map(|(name, _)| name.value.clone()).collect();
+        let added = document.params.iter().map(|(name, _)| name).filter(|name| !known.contains(&name.value));
+        late.extend(added.filter(|_| height > 0).cloned());
+        overlay(&mut part, document, problems);
     }
-    graph
+    report_unused(&part, &late, problems);
+    part
 }
 
-fn overlay(graph: &mut Graph, document: Document, problems: &mut Problems) {
-    remove(graph, &document.remove, problems);
-    graph.name = document.name.unwrap_or(std::mem::take(&mut graph.name));
-    graph.doc = document.doc.unwrap_or(std::mem::take(&mut graph.doc));
-    graph.seed = document.seed.unwrap_or(graph.seed);
-    graph.exports = document.exports.unwrap_or(std::mem::take(&mut graph.exports));
+/// A parameter that an overlay adds and nothing uses is most likely a misspelt one.
+fn report_unused(part: &Part, late: &[Located<String>], problems: &mut Problems) {
+    if late.is_empty() {
+        return;
+    }
+    let mut used = HashSet::new();
+    let values = part.nodes.iter().flat_map(|node| &node.params).filter_map(|(_, value)| value.tree.as_ref());
+    values.for_each(|value| note_references(value, &mut used));
+    for name in late.iter().filter(|name| !used.contains(name.value.as_str())) {
+        let others = part.params.iter().map(|(other, _)| other.value.as_str()).filter(|other| *other != name.value);
+        let problem = Problem::new(&name.place, format!("no node uses the parameter `{}`", name.value));
+        let help = suggest(&name.value, others, "parameters");
+        problems.push(problem.help(help.unwrap_or(format!("use it as `${}` in a node's `params`", name.value))));
+    }
+}
+
+fn note_references<'a>(value: &'a Spanned, used: &mut HashSet<&'a str>) {
+    used.extend(value.reference());
+    value.children().for_each(|child| note_references(child, used));
+}
+
+fn overlay(part: &mut Part, document: Document, problems: &mut Problems) {
+    remove(part, &document.remove, problems);
+    part.name = document.name.unwrap_or(std::mem::take(&mut part.name));
+    part.doc = document.doc.unwrap_or(std::mem::take(&mut part.doc));
+    part.seed = document.seed.unwrap_or(part.seed);
+    part.inputs = document.inputs.unwrap_or(std::mem::take(&mut part.inputs));
+    part.exports = document.exports.unwrap_or(std::mem::take(&mut part.exports));
+    document.params.into_iter().for_each(|(name, value)| set_param(&mut part.params, name, value));
     for entry in document.nodes {
-        let known = graph.node_index(&entry.id.value);
-        match (known, &entry.kind) {
-            (Some(index), kind) if kind.as_ref().is_none_or(|kind| kind.value == graph.nodes[index].kind.value) => {
-                let node = &mut graph.nodes[index];
+        match (part.index.get(&entry.id.value).copied(), &entry.kind) {
+            (Some(index), kind) if kind.as_ref().is_none_or(|kind| same_kind(kind, &part.nodes[index])) => {
+                let node = &mut part.nodes[index];
                 node.broken |= entry.broken;
-                entry.params.into_iter().for_each(|(name, value)| node.set_param(name, value));
-                entry.inputs.into_iter().for_each(|wire| node.set_wire(wire));
+                entry.params.into_iter().for_each(|(name, value)| set_param(&mut node.params, name, value));
+                entry.inputs.into_iter().for_each(|wire| set_wire(&mut node.inputs, wire));
             }
-            (Some(index), _) => graph.nodes[index] = whole(entry),
+            (Some(index), _) => part.nodes[index] = entry,
             (None, kind) => {
                 if kind.is_none() && !entry.broken {
                     let problem = Problem::new(&entry.id.place, format!("node `{}` has no kind", entry.id.value));
-                    let similar = suggest(&entry.id.value, graph.node_ids(), "nodes so far");
+                    let similar = suggest(&entry.id.value, part.ids(), "nodes so far");
                     problems.push(problem.maybe_help(similar).label("a new node needs `kind: \"..\"`"));
                 }
-                graph.index.insert(entry.id.value.clone(), graph.nodes.len());
-                graph.nodes.push(whole(entry));
+                part.index.insert(entry.id.value.clone(), part.nodes.len());
+                part.nodes.push(entry);
             }
         }
     }
 }
 
-fn whole(entry: NodeEntry) -> NodeSpec {
-    let NodeEntry { id, kind, params, inputs, broken } = entry;
-    let broken = broken || kind.is_none();
-    NodeSpec { kind: kind.unwrap_or_else(|| id.clone()), id, params, inputs, broken }
+fn same_kind(kind: &Located<String>, node: &NodeEntry) -> bool {
+    node.kind.as_ref().is_some_and(|known| known.value == kind.value)
 }
 
-fn remove(graph: &mut Graph, ids: &[Located<String>], problems: &mut Problems) {
+fn set_param(params: &mut Vec<(Located<String>, ParamValue)>, name: Located<String>, value: ParamValue) {
+    match params.iter_mut().find(|(known, _)| known.value == name.value) {
+        Some(param) => *param = (name, value),
+        None => params.push((name, value)),
+    }
+}
+
+fn set_wire(wires: &mut Vec<WireEntry>, wire: WireEntry) {
+    match wires.iter_mut().find(|known| known.port.value == wire.port.value) {
+        Some(known) => *known = wire,
+        None => wires.push(wire),
+    }
+}
+
+fn remove(part: &mut Part, ids: &[Located<String>], problems: &mut Problems) {
     let mut removed: HashMap<&str, &Place> = HashMap::new();
     for id in ids {
-        if graph.node_index(&id.value).is_none() {
+        if !part.index.contains_key(&id.value) {
             let problem = Problem::new(&id.place, format!("there is no node `{}` to remove", id.value));
-            problems.push(problem.maybe_help(suggest(&id.value, graph.node_ids(), "nodes")));
+            problems.push(problem.maybe_help(suggest(&id.value, part.ids(), "nodes")));
         }
         if let Some(first) = removed.insert(&id.value, &id.place) {
             let problem = Problem::new(&id.place, format!("node `{}` is removed twice", id.value));
@@ -145,6 +205,6 @@ fn remove(graph: &mut Graph, ids: &[Located<String>], problems: &mut Problems) {
     if removed.is_empty() {
         return;
     }
-    graph.nodes.retain(|node| !removed.contains_key(node.id.value.as_str()));
-    graph.index = graph.nodes.iter().enumerate().map(|(index, node)| (node.id.value.clone(), index)).collect();
+    part.nodes.retain(|node| !removed.contains_key(node.id.value.as_str()));
+    part.index = part.nodes.iter().enumerate().map(|(index, node)| (node.id.value.clone(), index)).collect();
 }

@@ -1,8 +1,9 @@
 //! The order of nodes: producers before consumers, ties in the order of the graph file, cycles as their path.
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashMap, HashSet};
 
+use petgraph::algo::kosaraju_scc;
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::{Dfs, Reversed};
 
@@ -44,43 +45,42 @@ impl Order {
         Self { graph, sorted }
     }
 
-    /// Reports one cycle, if there is any, as its path.
-    pub fn report_cycle(&self, spec: &Graph, problems: &mut Problems) {
+    /// Reports each group of nodes that wait for one another, as the path of one cycle in it.
+    pub fn report_cycles(&self, spec: &Graph, problems: &mut Problems) {
         let mut sorted = vec![false; spec.nodes.len()];
         self.sorted.iter().for_each(|index| sorted[*index] = true);
-        let Some(start) = sorted.iter().position(|done| !done) else { return };
-        // Every unsorted node has an unsorted producer, so walking upstream must come back to a node already seen.
+        if sorted.iter().all(|done| *done) {
+            return;
+        }
+        for group in kosaraju_scc(&self.graph) {
+            let itself = group.len() == 1 && self.graph.contains_edge(group[0], group[0]);
+            if group.len() > 1 || itself {
+                let inside: HashSet<usize> = group.iter().map(|node| node.index()).collect();
+                report_cycle(&self.path(&inside), spec, problems);
+            }
+        }
+    }
+
+    /// A cycle among nodes each of which has a producer among them, from the first in the order of the file.
+    fn path(&self, inside: &HashSet<usize>) -> Vec<usize> {
+        // Walking upstream must come back to a node already seen.
         let upstream = |index: usize| {
             let producers = self.graph.neighbors_directed(NodeIndex::new(index), petgraph::Direction::Incoming);
-            producers.map(NodeIndex::index).find(|producer| !sorted[*producer])
+            producers.map(NodeIndex::index).find(|producer| inside.contains(producer))
         };
-        let mut path = vec![start];
-        let mut at = vec![usize::MAX; sorted.len()];
-        at[start] = 0;
+        let mut path: Vec<usize> = inside.iter().min().copied().into_iter().collect();
+        let mut at: HashMap<usize, usize> = path.iter().map(|index| (*index, 0)).collect();
         while let Some(next) = path.last().and_then(|index| upstream(*index)) {
-            if at[next] != usize::MAX {
-                path.drain(..at[next]);
+            if let Some(first) = at.get(&next) {
+                path.drain(..*first);
                 path.push(next);
                 break;
             }
-            at[next] = path.len();
+            at.insert(next, path.len());
             path.push(next);
         }
         path.reverse();
-        let names: Vec<&str> = path.iter().map(|index| spec.nodes[*index].id.value.as_str()).collect();
-        let shown = if names.len() > 20 {
-            format!(
-                "{} → … ({} more) … → {}",
-                names[..10].join(" → "),
-                names.len() - 20,
-                names[names.len() - 10..].join(" → ")
-            )
-        } else {
-            names.join(" → ")
-        };
-        let place = &spec.nodes[path[0]].id.place;
-        let problem = Problem::new(place, format!("these nodes wait for one another: {shown}"));
-        problems.push(problem.label("part of a cycle").help("a graph flows one way; cut one of these wires"));
+        path
     }
 
     /// The nodes that `targets` need, in order.
@@ -95,4 +95,17 @@ impl Order {
         }
         self.sorted.iter().copied().filter(|index| needed[*index]).collect()
     }
+}
+
+fn report_cycle(path: &[usize], spec: &Graph, problems: &mut Problems) {
+    let names: Vec<&str> = path.iter().map(|index| spec.nodes[*index].id.value.as_str()).collect();
+    let shown = if names.len() > 20 {
+        let (head, tail) = (&names[..10], &names[names.len() - 10..]);
+        format!("{} → … ({} more) … → {}", head.join(" → "), names.len() - 20, tail.join(" → "))
+    } else {
+        names.join(" → ")
+    };
+    let Some(first) = path.first() else { return };
+    let problem = Problem::new(&spec.nodes[*first].id.place, format!("these nodes wait for one another: {shown}"));
+    problems.push(problem.label("part of a cycle").help("a graph flows one way; cut one of these wires"));
 }

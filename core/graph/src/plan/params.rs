@@ -1,11 +1,12 @@
 //! Parameters of one node, checked one by one so that all misfits are reported.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde_json::{Map, Value};
 
 use crate::diagnostic::{Place, Problem, Problems, suggest};
-use crate::graph::{Located, NodeSpec, ParamValue};
+use crate::graph::{Graph, Located, NodeSpec, Origin, ParamValue, Resolved, resolve};
 use crate::params::ParamDoc;
 use crate::registry::NodeKind;
 use crate::syntax::{DeError, Spanned};
@@ -13,13 +14,17 @@ use crate::syntax::{DeError, Spanned};
 use super::Built;
 
 /// The node with its parameters, or nothing and the reasons.
-pub(super) fn build(spec: &NodeSpec, kind: &NodeKind, problems: &mut Problems) -> Option<Built> {
+pub(super) fn build(graph: &Graph, spec: &NodeSpec, kind: &NodeKind, problems: &mut Problems) -> Option<Built> {
     let before = problems.0.len();
-    let mut values: Vec<(&str, &Spanned)> = Vec::with_capacity(spec.params.len());
+    let mut values: Vec<(&str, Cow<'_, Spanned>)> = Vec::with_capacity(spec.params.len());
     let mut places = BTreeMap::new();
+    let mut origins = BTreeMap::new();
     for (name, value) in &spec.params {
-        match check_one(spec, kind, (name, value)) {
-            Ok(tree) => values.push((&name.value, tree)),
+        match check_one(graph, (spec, kind), (name, value)) {
+            Ok((tree, origin)) => {
+                values.push((&name.value, tree));
+                origins.extend(origin.map(|origin| (name.value.as_str(), origin)));
+            }
             Err(found) => problems.0.extend(found.0),
         }
         places.insert(name.value.clone(), value.place.clone());
@@ -27,68 +32,87 @@ pub(super) fn build(spec: &NodeSpec, kind: &NodeKind, problems: &mut Problems) -
     if problems.0.len() > before {
         return None;
     }
-    let place = |parameter: &str| places.get(parameter).unwrap_or(&spec.id.place);
+    let values: Vec<(&str, &Spanned)> = values.iter().map(|(name, tree)| (*name, &**tree)).collect();
     let node = match kind.build(&values) {
         Ok(node) => node,
         Err(error) => {
-            problems.push(Problem::new(&spec.id.place, format!("node `{}`: {error}", spec.id.value)));
+            problems.push(Problem::new(&spec.id.place, format!("node `{}`: {error}", spec.local())));
             return None;
         }
     };
+    let mut report = |parameter: &str, said: String, help: Option<String>| {
+        let place = places.get(parameter).unwrap_or(&spec.id.place);
+        let problem = Problem::new(place, format!("node `{}`: parameter `{parameter}`{said}", spec.local()));
+        problems.push(with_origin(problem.maybe_help(help), origins.get(parameter)));
+    };
     for error in node.validate() {
-        let message = format!("node `{}`: parameter `{}`: {}", spec.id.value, error.parameter, error.message);
-        problems.push(Problem::new(place(error.parameter), message));
+        report(error.parameter, format!(": {}", error.message), None);
     }
-    let values = match node.values() {
-        Ok(values) => values,
-        Err(error) => {
-            problems.push(Problem::new(&spec.id.place, format!("node `{}`: {error}", spec.id.value)));
-            Map::new()
-        }
+    let (values, failure) = match node.values() {
+        Ok(values) => (values, None),
+        Err(error) => (Map::new(), Some(error)),
     };
     for param in kind.params {
         if let Some(reason) = values.get(param.name).and_then(|value| out_of_bounds(param, value)) {
-            let message = format!("node `{}`: parameter `{}` {reason}", spec.id.value, param.name);
-            problems.push(Problem::new(place(param.name), message).help(param.text()));
+            report(param.name, format!(" {reason}"), Some(param.text()));
         }
+    }
+    if let Some(error) = failure {
+        problems.push(Problem::new(&spec.id.place, format!("node `{}`: {error}", spec.local())));
     }
     (problems.0.len() == before).then_some(Built { node, values, params: places })
 }
 
+/// Says where a `$name`'s value comes from.
+fn with_origin(problem: Problem, origin: Option<&Origin>) -> Problem {
+    match origin {
+        Some(origin) => problem.also(&origin.place, format!("`${}` is given here", origin.name)),
+        None => problem,
+    }
+}
+
 /// The tree that fits the parameter.
 fn check_one<'s>(
-    spec: &NodeSpec,
-    kind: &NodeKind,
+    graph: &'s Graph,
+    (spec, kind): (&NodeSpec, &NodeKind),
     (name, value): (&Located<String>, &'s ParamValue),
-) -> Result<&'s Spanned, Problems> {
-    let id = &spec.id.value;
+) -> Result<(Cow<'s, Spanned>, Option<Origin>), Problems> {
+    let id = spec.local();
     let Some(param) = kind.param(&name.value) else {
         let message = format!("node `{id}` ({}) has no parameter `{}`", kind.kind, name.value);
         let known = kind.params.iter().map(|param| param.name);
-        return Err(Problem::new(&name.place, message).maybe_help(suggest(&name.value, known, "parameters")).into());
+        let help = suggest(&name.value, known, "parameters").unwrap_or_else(|| {
+            if kind.params.is_empty() {
+                "it takes none".to_owned()
+            } else {
+                format!("`heartian nodes {}` lists them", kind.kind)
+            }
+        });
+        return Err(Problem::new(&name.place, message).help(help).into());
     };
+    let Resolved { readings, origin } = resolve(&graph.scopes, spec.scope, value)?;
     let mut first: Option<DeError> = None;
-    for tree in value.tree.iter().chain(&value.bare) {
+    for tree in readings {
         if let Some(number) = tree.non_finite() {
             let place = Place { span: number.span, ..value.place.clone() };
             let message = format!("node `{id}`: parameter `{}` must be a finite number", name.value);
-            return Err(Problem::new(&place, message).into());
+            return Err(with_origin(Problem::new(&place, message), origin.as_ref()).into());
         }
-        match kind.build(&[(&name.value, tree)]) {
-            Ok(_) => return Ok(tree),
+        match kind.build(&[(&name.value, &tree)]) {
+            Ok(_) => return Ok((tree, origin)),
             Err(error) => first = first.or(Some(error)),
         }
     }
-    let (span, reason) = match first {
-        Some(error) => (error.span.unwrap_or(value.place.span), error.message),
-        None => (value.place.span, "no value".to_owned()),
-    };
-    let place = Place { span, ..value.place.clone() };
+    let error = first.unwrap_or(DeError { span: None, message: "no value".to_owned(), words: &[] });
+    let place = Place { span: error.span.unwrap_or(value.place.span), ..value.place.clone() };
     let unit = param.unit.map_or(String::new(), |unit| format!(", in {unit}"));
-    Err(Problem::new(&place, format!("node `{id}`: parameter `{}`: {reason}", name.value))
-        .label(format!("takes {}{unit}", param.type_name))
-        .help(param.text())
-        .into())
+    let said = place.source.text().get(place.span.start..place.span.end).unwrap_or_default();
+    let proposal =
+        suggest(said.trim_matches('"'), error.words.iter().copied(), "").filter(|text| text.starts_with("did"));
+    let help = proposal.map_or(param.text(), |proposal| format!("{proposal} {}", param.text()));
+    let problem = Problem::new(&place, format!("node `{id}`: parameter `{}`: {}", name.value, error.message));
+    let problem = problem.label(format!("takes {}{unit}", param.type_name)).help(help);
+    Err(with_origin(problem, origin.as_ref()).into())
 }
 
 /// Why a value breaks the parameter's range or choices, if it does.

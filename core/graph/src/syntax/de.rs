@@ -18,6 +18,8 @@ use super::{Name, Span, Spanned, Tree};
 pub(crate) struct DeError {
     pub span: Option<Span>,
     pub message: String,
+    /// The words that would do, when one of a few was expected.
+    pub words: &'static [&'static str],
 }
 
 impl fmt::Display for DeError {
@@ -30,7 +32,7 @@ impl std::error::Error for DeError {}
 
 impl Error for DeError {
     fn custom<T: fmt::Display>(message: T) -> Self {
-        Self { span: None, message: message.to_string() }
+        Self { span: None, message: message.to_string(), words: &[] }
     }
 }
 
@@ -58,6 +60,7 @@ impl<'de> Deserializer<'de> for &'de Spanned {
             Tree::Float(value) => visitor.visit_f64(*value),
             Tree::Char(value) => visitor.visit_char(*value),
             Tree::Text(text) | Tree::Word(text) => visitor.visit_borrowed_str(text),
+            Tree::Reference(name) => Err(DeError::custom(format!("`${name}` has no value here"))),
             Tree::List(items) => visitor.visit_seq(Items(items.iter())),
             Tree::Tuple { items, .. } if items.is_empty() => visitor.visit_unit(),
             Tree::Tuple { items, .. } => visitor.visit_seq(Items(items.iter())),
@@ -81,7 +84,7 @@ impl<'de> Deserializer<'de> for &'de Spanned {
         match &self.tree {
             Tree::Word(word) => {
                 let message = format!("expected a string, found the bare word `{word}`; write \"{word}\"");
-                Err(DeError { span: Some(self.span), message })
+                Err(DeError::custom(message).or_at(self.span))
             }
             _ => self.deserialize_any(visitor),
         }
@@ -106,7 +109,7 @@ impl<'de> Deserializer<'de> for &'de Spanned {
         match &self.tree {
             Tree::List(items) | Tree::Tuple { items, .. } if items.len() != length => {
                 let message = format!("expected {length} values, found {}", items.len());
-                Err(DeError { span: Some(self.span), message })
+                Err(DeError::custom(message).or_at(self.span))
             }
             _ => self.deserialize_seq(visitor),
         }
@@ -115,17 +118,21 @@ impl<'de> Deserializer<'de> for &'de Spanned {
     fn deserialize_enum<V: Visitor<'de>>(
         self,
         _: &'static str,
-        _: &'static [&'static str],
+        variants: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, DeError> {
         let visited = match &self.tree {
             Tree::Word(word) | Tree::Text(word) => visitor.visit_enum(word.as_str().into_deserializer()),
             Tree::Tuple { name: Some(name), .. } | Tree::Struct { name: Some(name), .. } => {
-                visitor.visit_enum(Variant { name, content: self })
+                visitor.visit_enum(Variant { name, content: self, variants })
             }
             other => Err(DeError::custom(format!("expected one word, found {}", other.describe()))),
         };
-        visited.map_err(|error: DeError| error.or_at(self.span))
+        visited.map_err(|error: DeError| {
+            // An error with a place is about what stands inside the variant.
+            let words = if error.span.is_none() { variants } else { error.words };
+            DeError { words, ..error.or_at(self.span) }
+        })
     }
 
     forward_to_deserialize_any! {
@@ -228,6 +235,7 @@ where
 struct Variant<'de> {
     name: &'de Name,
     content: &'de Spanned,
+    variants: &'static [&'static str],
 }
 
 impl<'de> EnumAccess<'de> for Variant<'de> {
@@ -236,7 +244,8 @@ impl<'de> EnumAccess<'de> for Variant<'de> {
 
     fn variant_seed<V: DeserializeSeed<'de>>(self, seed: V) -> Result<(V::Value, Self), DeError> {
         let name: StrDeserializer<'_, DeError> = self.name.text.as_str().into_deserializer();
-        Ok((seed.deserialize(name).map_err(|error: DeError| error.or_at(self.name.span))?, self))
+        let unknown = |error: DeError| DeError { words: self.variants, ..error.or_at(self.name.span) };
+        Ok((seed.deserialize(name).map_err(unknown)?, self))
     }
 }
 

@@ -145,12 +145,21 @@ impl<'a> Reader<'a> {
             Some('[') => Tree::List(self.list(']')?),
             Some('{') => self.map()?,
             Some('(') => self.parenthesised(None)?,
+            Some('$') => self.reference()?,
             Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => self.number()?,
             Some(c) if starts_word(c) => self.word()?,
             _ => return Err(self.here("expected a value")),
         };
         self.depth -= 1;
         Ok(Spanned { span: self.from(start), tree })
+    }
+
+    fn reference(&mut self) -> Read<Tree> {
+        self.bump();
+        if !self.peek().is_some_and(starts_word) {
+            return Err(self.here("expected a name after `$`"));
+        }
+        Ok(Tree::Reference(self.name().text))
     }
 
     fn name(&mut self) -> Name {
