@@ -9,6 +9,7 @@ mod architecture;
 mod error;
 mod input;
 mod network;
+pub mod preprocess;
 mod weights;
 
 pub use architecture::Architecture;

@@ -11,7 +11,7 @@ use crate::canvas::{Area, FONT, draw_on, drawing};
 type Chart<'a, 'b> = ChartContext<'a, BitMapBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 const SIZE_PX: (usize, usize) = (1200, 720);
-const PALETTE: [RGBColor; 6] = [
+pub(crate) const PALETTE: [RGBColor; 6] = [
     RGBColor(0, 0, 0),
     RGBColor(214, 40, 40),
     RGBColor(0, 119, 182),

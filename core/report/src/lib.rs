@@ -1,12 +1,18 @@
-//! Pictures of a run: contact sheets, waveform figures and previews. They explain figures; they make none.
+//! Pictures and files of a run: contact sheets, waveform figures, previews, tables. They explain figures; they make none.
 
+mod agreement;
 mod canvas;
+mod csv;
 mod figure;
+mod parquet;
 mod preview;
 mod sheet;
 
+pub use agreement::{Agreement, agreement_figure};
 pub use canvas::{decode_png, encode_png};
+pub use csv::table_csv;
 pub use figure::{Curve, waveform_figure};
+pub use parquet::table_parquet;
 pub use preview::encode_preview;
 pub use sheet::contact_sheet;
 

@@ -50,6 +50,16 @@ pub enum SpaceError {
         /// Last time wanted.
         wanted_to: f64,
     },
+    /// A table's column has no name, another's name, or cells of two kinds.
+    #[error(
+        "column {index} of a table is named `{name}`: names must be there and unique, and cells all words or all figures"
+    )]
+    Column {
+        /// Its name.
+        name: String,
+        /// Its place.
+        index: usize,
+    },
     /// Entries are not in increasing order.
     #[error("{0} are not in increasing order")]
     Order(&'static str),

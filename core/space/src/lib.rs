@@ -13,6 +13,7 @@ mod progress;
 mod series;
 mod skin;
 mod sparse;
+mod table;
 mod traces;
 
 pub use camera::Camera;
@@ -24,4 +25,5 @@ pub use progress::Progress;
 pub use series::Series;
 pub use skin::{Modulation, Perfusion, Skin};
 pub use sparse::AlbedoOperator;
+pub use table::{Cell, Cells, Table};
 pub use traces::{Trace, Traces};

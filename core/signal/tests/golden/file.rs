@@ -1,4 +1,5 @@
-//! Reading the golden folder, and comparing against it.
+//! Reading the golden folder, and comparing against it. Shared by the tests of the crates that have goldens.
+#![allow(dead_code, reason = "each of the test binaries uses its part")]
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -35,9 +36,9 @@ pub fn manifest(folder: &Path) -> Outcome<Vec<Entry>> {
     Ok(items.iter().filter_map(entry).collect())
 }
 
-/// An opened file: arrays by name, as f64, and the manifest's tolerances.
+/// An opened file: arrays by name, as f64, with their shapes, and the manifest's tolerances.
 pub struct Golden {
-    arrays: BTreeMap<String, Vec<f64>>,
+    arrays: BTreeMap<String, (Vec<usize>, Vec<f64>)>,
     tolerance: Value,
 }
 
@@ -48,14 +49,20 @@ impl Golden {
         let mut arrays = BTreeMap::new();
         for name in &entry.arrays {
             let file = archive.by_name(name)?.ok_or_else(|| format!("{}: no array {name}", entry.file))?;
-            arrays.insert(name.clone(), values(file)?);
+            let shape = file.shape().iter().map(|size| *size as usize).collect();
+            arrays.insert(name.clone(), (shape, values(file)?));
         }
         Ok(Self { arrays, tolerance: entry.tolerance.clone() })
     }
 
     /// An array's values, row-major.
     pub fn array(&self, name: &str) -> Outcome<&[f64]> {
-        Ok(self.arrays.get(name).ok_or_else(|| format!("no array {name}"))?)
+        Ok(&self.arrays.get(name).ok_or_else(|| format!("no array {name}"))?.1)
+    }
+
+    /// An array's sizes, outermost first.
+    pub fn shape(&self, name: &str) -> Outcome<&[usize]> {
+        Ok(&self.arrays.get(name).ok_or_else(|| format!("no array {name}"))?.0)
     }
 
     /// The value of a scalar.
@@ -71,6 +78,12 @@ impl Golden {
     /// Names of all arrays that start so.
     pub fn names(&self, prefix: &str) -> Vec<&str> {
         self.arrays.keys().filter(|name| name.starts_with(prefix)).map(String::as_str).collect()
+    }
+
+    /// What the manifest says of a tolerance in words, by JSON pointer.
+    pub fn words(&self, pointer: &str) -> Outcome<&str> {
+        let text = self.tolerance.pointer(pointer).and_then(Value::as_str);
+        Ok(text.ok_or_else(|| format!("no words at {pointer}"))?)
     }
 
     /// A tolerance of the manifest, by JSON pointer.

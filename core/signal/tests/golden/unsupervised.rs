@@ -25,10 +25,10 @@ pub fn case(golden: &Golden, checks: &mut Checks) -> Outcome<()> {
     Ok(())
 }
 
-/// The frames as a clip: 9 rows of 7 columns.
+/// The frames as a clip.
 fn clip(golden: &Golden, rate: f64) -> Outcome<Clip> {
     let frames: Vec<u8> = golden.array("frames_u8")?.iter().map(|&code| code as u8).collect();
-    let (width, height) = (7, 9);
+    let &[_, height, width, 3] = golden.shape("frames_u8")? else { return Err("frames_u8 is not T×H×W×3".into()) };
     let pixels = frames.len() / 3;
     let times_seconds = (0..pixels / (width * height)).map(|frame| frame as f64 / rate).collect();
     Ok(Clip::new("golden", width, height, Sequence { frames, alpha: vec![255; pixels], times_seconds })?)
