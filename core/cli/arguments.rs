@@ -67,8 +67,8 @@ pub enum ModelsAction {
 pub struct GraphArguments {
     /// The graph, a RON file
     pub graph: PathBuf,
-    /// Change a parameter; the value is RON, or a plain string
-    #[arg(long = "set", value_name = "NODE.PARAM=VALUE")]
+    /// Change a parameter of a node, or NAME=VALUE of the graph; the value is RON, or a plain string
+    #[arg(long = "set", visible_alias = "param", value_name = "NODE.PARAM=VALUE")]
     pub sets: Vec<String>,
     /// Only what this node needs; may be repeated
     #[arg(long = "target", value_name = "NODE")]

@@ -11,6 +11,7 @@ mod manual;
 mod models;
 mod progress;
 mod run;
+mod session;
 mod summary;
 
 use std::process::ExitCode;
