@@ -3,19 +3,40 @@
 //! Always holds: a file under its final name was written whole and renamed into place; bytes are checked against their
 //! digest whenever they are read, and dropped when they differ, so that damage costs a recomputation and nothing else.
 //! No file is synced: after a power cut a torn file is found by its size or digest. Processes may share a cache.
+//!
+//! A hit is not read, only looked at: its record remembers inode and change time of each file as it was stored. Where
+//! they differ the bytes are digested again before they count, so that a file changed behind the cache's back, even with
+//! its size and modification time restored, is found at the next run.
 
+mod checkpoints;
+mod claim;
+mod gc;
+mod ledger;
 mod sources;
+mod stamp;
+mod upkeep;
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use crate::digest::Digest;
 use serde::{Deserialize, Serialize};
+
+use crate::digest::Digest;
+
+pub use gc::{GcOptions, GcReport};
+pub use upkeep::{CacheEntry, Usage, VerifyReport};
+
+pub(crate) use claim::Claim;
+pub(crate) use ledger::Ledger;
+
+use stamp::Stamp;
 
 /// Abandoned temporary files older than this are swept.
 const STALE: Duration = Duration::from_secs(24 * 3600);
+/// Files are compared in pieces of this many bytes.
+const PIECE: usize = 1 << 16;
 
 /// A cache folder.
 #[derive(Clone, Debug)]
@@ -38,12 +59,15 @@ pub struct Record {
 }
 
 /// One output.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Output {
     /// Digest of the bytes.
     pub digest: Digest,
     /// Number of bytes.
     pub size: u64,
+    /// The file as it was when its bytes were last known to be right.
+    #[serde(default)]
+    stamp: Stamp,
 }
 
 /// What can go wrong with the cache folder itself. Damaged content is not an error: it is recomputed.
@@ -59,14 +83,14 @@ pub enum CacheError {
         /// On which file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// A record could not be expressed.
     #[error("the cache cannot write a record: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CacheError {
+fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> CacheError {
     let path = path.to_owned();
     move |source| CacheError::Io { action, path, source }
 }
@@ -95,12 +119,16 @@ impl Cache {
 
     fn sharded(&self, kind: &str, digest: &Digest, extension: &str) -> PathBuf {
         let name = digest.to_string();
-        self.root.join(kind).join(&name[..2]).join(format!("{name}.{extension}"))
+        self.root.join(format!("{kind}/{}/{name}.{extension}", &name[..2]))
     }
 
     /// Where the bytes of a digest lie, if they are there. For Python: a `safetensors` file.
     pub fn blob_path(&self, digest: &Digest) -> PathBuf {
         self.sharded("artifacts", digest, "safetensors")
+    }
+
+    fn record_path(&self, key: &Digest) -> PathBuf {
+        self.sharded("actions", key, "jsonl")
     }
 
     /// Removes what killed runs left behind; a failure to do so harms nobody.
@@ -115,28 +143,57 @@ impl Cache {
         }
     }
 
-    fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), CacheError> {
+    /// Writes a file beside its place and renames it into it; what cannot be written whole is not there at all.
+    fn write(&self, path: &Path, parts: &[&[u8]]) -> Result<(), CacheError> {
+        let temporary = self.temporary();
+        let mut builder = tempfile::Builder::new();
+        readable(&mut builder);
+        let mut file = match builder.tempfile_in(&temporary) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                std::fs::create_dir_all(&temporary).map_err(io("make", &temporary))?;
+                builder.tempfile_in(&temporary)
+            }
+            made => made,
+        }
+        .map_err(io("write in", &temporary))?;
+        parts.iter().try_for_each(|part| file.write_all(part)).map_err(io("write", path))?;
+        let Err(refused) = file.persist(path) else { return Ok(()) };
+        if refused.error.kind() != io::ErrorKind::NotFound {
+            return Err(io("write", path)(refused.error));
+        }
         let folder = path.parent().unwrap_or(&self.root);
         std::fs::create_dir_all(folder).map_err(io("make", folder))?;
-        let temporary = self.temporary();
-        std::fs::create_dir_all(&temporary).map_err(io("make", &temporary))?;
-        let mut file = tempfile::NamedTempFile::new_in(&temporary).map_err(io("write in", &temporary))?;
-        file.write_all(bytes).map_err(io("write", path))?;
-        file.persist(path).map_err(|error| io("write", path)(error.error))?;
+        refused.file.persist(path).map_err(|error| io("write", path)(error.error))?;
         Ok(())
     }
 
-    /// The record of a key, if all its outputs are present in their full size.
+    /// The record of a key, if all its outputs are present and, as far as their files tell, unchanged.
     pub fn record(&self, key: &Digest) -> Option<Record> {
-        let present = |output: &Output| {
-            std::fs::metadata(self.blob_path(&output.digest)).is_ok_and(|metadata| metadata.len() == output.size)
-        };
-        self.recorded(key).filter(|record| record.outputs.values().all(present))
+        let mut record = self.recorded(key)?;
+        let mut moved = false;
+        for output in record.outputs.values_mut() {
+            let path = self.blob_path(&output.digest);
+            let metadata = std::fs::metadata(&path).ok()?;
+            if metadata.len() != output.size {
+                return None;
+            }
+            let stamp = Stamp::of(&metadata);
+            if stamp != output.stamp {
+                // Copied, restored or tampered with: the bytes decide.
+                self.bytes(&output.digest).ok()??;
+                (output.stamp, moved) = (stamp, true);
+            }
+        }
+        if moved {
+            // Only so that the next run need not look again.
+            let _ = self.put_record(key, &record);
+        }
+        Some(record)
     }
 
     /// The record of a key, whether or not its outputs are still here.
     pub fn recorded(&self, key: &Digest) -> Option<Record> {
-        let path = self.sharded("actions", key, "jsonl");
+        let path = self.record_path(key);
         let text = std::fs::read_to_string(&path).ok()?;
         let read = || {
             let (head, preimage) = text.split_once('\n')?;
@@ -156,21 +213,22 @@ impl Cache {
     /// # Errors
     /// When the folder cannot be written.
     pub fn put_record(&self, key: &Digest, record: &Record) -> Result<(), CacheError> {
-        let mut text = serde_json::to_string(record)?;
-        text.push('\n');
-        text.push_str(&record.preimage);
-        self.write(&self.sharded("actions", key, "jsonl"), text.as_bytes())
+        let head = serde_json::to_string(record)?;
+        self.write(&self.record_path(key), &[head.as_bytes(), b"\n", record.preimage.as_bytes()])
     }
 
-    /// Stores bytes under their digest.
+    /// Stores bytes under their digest. A file that holds them already stays as it is.
     ///
     /// # Errors
     /// When the folder cannot be written.
     pub fn put_bytes(&self, bytes: &[u8]) -> Result<Output, CacheError> {
-        let output = Output { digest: Digest::of(bytes), size: bytes.len() as u64 };
-        // Written even if a file of that name exists: it may be damaged, and this heals it.
-        self.write(&self.blob_path(&output.digest), bytes)?;
-        Ok(output)
+        let (digest, size) = (Digest::of(bytes), bytes.len() as u64);
+        let path = self.blob_path(&digest);
+        if !holds(&path, bytes).unwrap_or(false) {
+            self.write(&path, &[bytes])?;
+        }
+        let stamp = std::fs::metadata(&path).map(|metadata| Stamp::of(&metadata)).unwrap_or_default();
+        Ok(Output { digest, size, stamp })
     }
 
     /// The bytes of a digest, verified; damaged ones are deleted and count as absent.
@@ -181,7 +239,7 @@ impl Cache {
         let path = self.blob_path(digest);
         let bytes = match std::fs::read(&path) {
             Ok(bytes) => bytes,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(io("read", &path)(error)),
         };
         if Digest::of(&bytes) == *digest {
@@ -196,3 +254,29 @@ impl Cache {
         let _ = std::fs::remove_file(self.blob_path(digest));
     }
 }
+
+/// Whether the file holds exactly these bytes.
+fn holds(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+    let mut file = std::fs::File::open(path)?;
+    if file.metadata()?.len() != bytes.len() as u64 {
+        return Ok(false);
+    }
+    let mut piece = vec![0; PIECE.min(bytes.len())];
+    for expected in bytes.chunks(PIECE) {
+        let piece = &mut piece[..expected.len()];
+        file.read_exact(piece)?;
+        if piece != expected {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Temporary files are the owner's alone; those of a cache are for whoever may read the folder.
+#[cfg(unix)]
+fn readable(builder: &mut tempfile::Builder<'_, '_>) {
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+}
+
+#[cfg(not(unix))]
+fn readable(_: &mut tempfile::Builder<'_, '_>) {}

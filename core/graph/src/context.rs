@@ -4,7 +4,11 @@
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::cache::Cache;
+use crate::digest::Digest;
 
 /// One report of a long computation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,6 +58,13 @@ pub enum Event<'a> {
         /// Its kind.
         kind: &'a str,
     },
+    /// Another run is at work on the very same node; this one waits for it.
+    Waiting {
+        /// Its id in the graph.
+        node: &'a str,
+        /// Its kind.
+        kind: &'a str,
+    },
     /// A running node reports.
     Progress {
         /// Its id in the graph.
@@ -79,7 +90,7 @@ pub enum Event<'a> {
     },
 }
 
-/// Hears of a run's events; called from the node's thread.
+/// Hears of a run's events; called from the threads of the nodes, several at once.
 pub trait Observer: Send + Sync {
     /// Something happened.
     fn event(&self, event: &Event<'_>);
@@ -105,6 +116,22 @@ impl Cancel {
     }
 }
 
+/// Where a node's states are kept while it runs.
+#[derive(Debug)]
+pub(crate) struct Checkpoints {
+    cache: Cache,
+    key: Digest,
+    every: Duration,
+    last: Mutex<Instant>,
+}
+
+impl Checkpoints {
+    /// States of the node with this key, kept no more often than `every`.
+    pub fn new(cache: &Cache, key: Digest, every: Duration) -> Self {
+        Self { cache: cache.clone(), key, every, last: Mutex::new(Instant::now()) }
+    }
+}
+
 /// A running node's view of its host.
 #[derive(Clone)]
 pub struct Context {
@@ -113,14 +140,23 @@ pub struct Context {
     threads: usize,
     cancel: Cancel,
     observer: Arc<dyn Observer>,
+    checkpoints: Option<Arc<Checkpoints>>,
 }
 
 impl Context {
-    /// A context for the node `node`.
+    /// A context for the node `node`, one thread of its own, without checkpoints.
     pub fn new(node: &str, seed: u64, cancel: Cancel, observer: Arc<dyn Observer>) -> Self {
-        static THREADS: OnceLock<usize> = OnceLock::new();
-        let threads = *THREADS.get_or_init(|| std::thread::available_parallelism().map_or(1, usize::from));
-        Self { node: node.into(), seed, threads, cancel, observer }
+        Self { node: node.into(), seed, threads: 1, cancel, observer, checkpoints: None }
+    }
+
+    /// With this many threads of its own.
+    pub(crate) fn with_threads(self, threads: usize) -> Self {
+        Self { threads, ..self }
+    }
+
+    /// With a place to keep states.
+    pub(crate) fn with_checkpoints(self, checkpoints: Checkpoints) -> Self {
+        Self { checkpoints: Some(Arc::new(checkpoints)), ..self }
     }
 
     /// A context that nobody watches, for tests and examples.
@@ -133,7 +169,8 @@ impl Context {
         self.seed
     }
 
-    /// How many threads the node may use; must not change what it computes.
+    /// How many threads of its own the node may keep busy: those it asked for in [`crate::Node::resources`], or fewer.
+    /// Must not change what it computes.
     pub fn threads(&self) -> usize {
         self.threads
     }
@@ -148,6 +185,29 @@ impl Context {
     /// Whether the user asked to stop.
     pub fn cancelled(&self) -> bool {
         self.cancel.requested()
+    }
+
+    /// The last state that an earlier run of this very node kept (same kind, revision, parameters, inputs and seed)
+    /// before it was stopped or killed. Whoever goes on from it must give the bytes of an uninterrupted run. A state that
+    /// does not fit, for whatever reason, is to be ignored.
+    pub fn resume(&self) -> Option<Vec<u8>> {
+        let kept = self.checkpoints.as_ref()?;
+        kept.cache.checkpoint(&kept.key)
+    }
+
+    /// Offers a state to resume from; it is made and kept only when some seconds have passed since the last one, or when
+    /// the user asked to stop. Call it after each step, and once more before returning because of a request to stop.
+    /// What cannot be kept is not: the node goes on.
+    pub fn checkpoint(&self, state: impl FnOnce() -> Option<Vec<u8>>) {
+        let Some(kept) = &self.checkpoints else { return };
+        let mut last = kept.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.elapsed() < kept.every && !self.cancelled() {
+            return;
+        }
+        if let Some(Err(error)) = state().map(|state| kept.cache.put_checkpoint(&kept.key, &state)) {
+            self.warn(&format!("its state is not kept, and an interrupted run starts over: {error}"));
+        }
+        *last = Instant::now();
     }
 
     /// Tells the user one line, such as a doubtful input that is used all the same.

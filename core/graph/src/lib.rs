@@ -56,7 +56,7 @@ mod scheduler;
 mod syntax;
 
 pub use artifacts::{AnyArtifact, Inputs, Outputs};
-pub use cache::{Cache, CacheError, Output, Record};
+pub use cache::{Cache, CacheEntry, CacheError, GcOptions, GcReport, Output, Record, Usage, VerifyReport};
 pub use context::{Cancel, Context, Event, Observer, Progress, Status};
 pub use diagnostic::{Place, Problem, Problems, Source};
 pub use digest::Digest;
@@ -67,7 +67,7 @@ pub use params::{ParamDoc, Params};
 pub use plan::{Plan, PlanInput, PlanNode};
 pub use registry::{ErasedNode, NodeKind, Registry};
 
-pub use scheduler::{NodeReport, Preview, Run, RunOptions, load};
+pub use scheduler::{AuditReport, NodeReport, Preview, Run, RunOptions, Verdict, load};
 pub use syntax::Span;
 
 #[doc(hidden)]

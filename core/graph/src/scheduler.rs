@@ -1,25 +1,26 @@
-//! Runs a plan: asks the cache first, runs what is missing, stores what was made, forgets what nobody needs any more.
+//! Runs a plan: asks the cache first, runs what is missing, several nodes at once where resources allow.
 //!
 //! Always holds: a node runs only when all its inputs are present and verified; what a node made is in the cache before
-//! the next one starts, so that a kill loses at most one node's work. Values are decoded only for nodes that run.
+//! its turn ends, so that a kill loses only what was being worked on. Values are decoded only for nodes that run, and
+//! kept only for nodes that wait. Which nodes ran at once changes no byte of what they make.
 
+mod audit;
+mod board;
 mod execute;
+mod work;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::Duration;
 
-use crate::artifacts::{AnyArtifact, Inputs};
+use crate::artifacts::AnyArtifact;
 use crate::cache::{Cache, CacheError, Record};
-use crate::context::{Cancel, Event, Observer, Status};
+use crate::context::{Cancel, Observer, Status};
 use crate::diagnostic::Problem;
 use crate::digest::Digest;
 use crate::key::{Statement, source_digests};
 use crate::node::NodeError;
 use crate::plan::Plan;
-
-/// How often one node is recomputed because what the cache holds of it is damaged, before the cache itself is blamed.
-const HEAL_LIMIT: u32 = 3;
 
 /// How to run.
 #[derive(Clone)]
@@ -34,12 +35,21 @@ pub struct RunOptions {
     pub jobs: usize,
     /// Most memory that nodes running at once may say they need; a node that needs more runs alone.
     pub memory_bytes: u64,
+    /// How often a long node may keep a state to resume from.
+    pub checkpoint_every: Duration,
 }
 
 impl Default for RunOptions {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { cancel: Cancel::default(), observer: Arc::new(()), keep_going: false, jobs, memory_bytes: u64::MAX }
+        Self {
+            cancel: Cancel::default(),
+            observer: Arc::new(()),
+            keep_going: false,
+            jobs,
+            memory_bytes: u64::MAX,
+            checkpoint_every: Duration::from_secs(20),
+        }
     }
 }
 
@@ -63,6 +73,19 @@ pub struct NodeReport {
 }
 
 impl NodeReport {
+    /// A node that had no turn.
+    fn of(plan: &Plan, at: usize) -> Self {
+        Self {
+            id: plan.nodes[at].id.clone(),
+            kind: plan.nodes[at].kind.kind,
+            status: Status::Skipped,
+            seconds: 0.0,
+            key: None,
+            outputs: BTreeMap::new(),
+            error: None,
+        }
+    }
+
     /// The failure with its place in the graph, if it failed.
     pub fn problem(&self, plan: &Plan) -> Option<Problem> {
         let error = self.error.as_ref()?;
@@ -72,6 +95,8 @@ impl NodeReport {
         Some(Problem::new(node.place(error.parameter), message).maybe_help(error.remedy.clone()))
     }
 }
+
+pub use audit::{AuditReport, Verdict};
 
 /// What the cache knows of one node before a run.
 #[derive(Clone, Debug)]
@@ -143,98 +168,6 @@ impl<'a> Run<'a> {
         found
     }
 
-    /// Runs the plan. Never stops for a node's failure without a word about every node.
-    pub fn execute(&self, options: &RunOptions) -> Vec<NodeReport> {
-        let count = self.plan.nodes.len();
-        let last_use = self.last_use();
-        let mut state = State { turns: vec![None; count], held: vec![BTreeMap::new(); count], heals: vec![0; count] };
-        let mut stopped = false;
-        let mut at = 0;
-        while at < count {
-            stopped |= options.cancel.requested();
-            match self.turn(at, &mut state, options, stopped) {
-                Step::Back(producer) => at = producer,
-                Step::Done => {
-                    let failed = state.turns[at].as_ref().is_some_and(|turn| turn.status == Status::Failed);
-                    stopped |= failed && !options.keep_going;
-                    let producers = self.plan.nodes[at].inputs.iter().flat_map(|input| &input.from);
-                    for index in producers.map(|(from, _)| *from).chain([at]) {
-                        let used = |port| last_use.get(&(index, port)).is_some_and(|last| *last > at);
-                        state.held[index].retain(|port, _| used(*port));
-                    }
-                    at += 1;
-                }
-            }
-        }
-        state.turns.into_iter().flatten().collect()
-    }
-
-    /// The last node to read each output; absent when nobody does.
-    fn last_use(&self) -> HashMap<(usize, &'static str), usize> {
-        let nodes = self.plan.nodes.iter().enumerate();
-        let wires = nodes.flat_map(|(index, node)| node.inputs.iter().map(move |input| (index, input)));
-        wires
-            .flat_map(|(index, input)| input.from.iter().map(move |(from, port)| ((*from, port.name), index)))
-            .collect()
-    }
-
-    /// One node's turn.
-    fn turn(&self, at: usize, state: &mut State, options: &RunOptions, stopped: bool) -> Step {
-        let node = &self.plan.nodes[at];
-        let start = Instant::now();
-        let mut report = NodeReport {
-            id: node.id.clone(),
-            kind: node.kind.kind,
-            status: Status::Skipped,
-            seconds: 0.0,
-            key: None,
-            outputs: BTreeMap::new(),
-            error: None,
-        };
-        let fed = node.inputs.iter().flat_map(|input| &input.from).all(|(from, _)| state.is_done(*from));
-        if stopped && state.is_done(at) {
-            return Step::Done;
-        }
-        if !stopped && fed {
-            let outcome = self.key(at, &|from, port| state.digest(from, port)).and_then(|(key, preimage)| {
-                report.key = Some(key);
-                if state.is_done(at) && state.turns[at].as_ref().and_then(|turn| turn.key) == report.key {
-                    return Ok(None);
-                }
-                match self.cache.record(&key) {
-                    Some(record) => Ok(Some(Outcome::hit(record))),
-                    None => self.run(at, (key, preimage), state, options).map(Some),
-                }
-            });
-            match outcome {
-                Ok(None) => return Step::Done,
-                Ok(Some(Outcome::Damaged { producer })) => {
-                    state.turns[producer] = None;
-                    state.heals[producer] += 1;
-                    return Step::Back(producer);
-                }
-                Ok(Some(Outcome::Finished { status, record })) => {
-                    report.status = status;
-                    for text in record.warnings.iter().filter(|_| status == Status::Hit) {
-                        options.observer.event(&Event::Warning { node: &node.id, text });
-                    }
-                    let digest = |port: &'static str| record.outputs.get(port).map(|output| (port, output.digest));
-                    report.outputs = node.kind.outputs.iter().filter_map(|port| digest(port.name)).collect();
-                }
-                Err(error) => {
-                    let cancelled = options.cancel.requested();
-                    report.status = Status::Failed;
-                    report.error = Some(if cancelled { NodeError::cancelled() } else { error });
-                }
-            }
-        }
-        report.seconds = start.elapsed().as_secs_f64();
-        let (status, seconds) = (report.status, report.seconds);
-        options.observer.event(&Event::Finished { node: &node.id, status, seconds });
-        state.turns[at] = Some(report);
-        Step::Done
-    }
-
     /// The node's key and its preimage, from the digests of what feeds it.
     fn key(&self, at: usize, output: &dyn Fn(usize, &str) -> Option<Digest>) -> Result<(Digest, String), NodeError> {
         let node = &self.plan.nodes[at];
@@ -258,71 +191,6 @@ impl<'a> Run<'a> {
         }
         let preimage = statement.preimage(&inputs);
         Ok((Digest::of(preimage.as_bytes()), preimage))
-    }
-
-    /// The node's inputs, from memory or from the cache; `Err` inside names a producer whose output is damaged.
-    fn inputs(&self, at: usize, state: &mut State) -> Result<Result<Inputs, usize>, NodeError> {
-        let mut inputs = Inputs::new();
-        for input in &self.plan.nodes[at].inputs {
-            for (from, port) in &input.from {
-                let Some(digest) = state.digest(*from, port.name) else { continue };
-                if let Some(artifact) = state.held[*from].get(port.name) {
-                    inputs = inputs.with(input.port.name, artifact.clone());
-                    continue;
-                }
-                let decoded = self.cache.bytes(&digest)?.map(|bytes| port.decode(bytes));
-                if let Some(Ok(artifact)) = decoded {
-                    state.held[*from].insert(port.name, artifact.clone());
-                    inputs = inputs.with(input.port.name, artifact);
-                    continue;
-                }
-                if state.heals[*from] >= HEAL_LIMIT {
-                    let reason = decoded.and_then(Result::err).map_or("damaged".to_owned(), |error| error.to_string());
-                    let id = &self.plan.nodes[*from].id;
-                    let message = format!("what the cache keeps of `{id}.{}` cannot be used: {reason}", port.name);
-                    return Err(NodeError::new(message).remedy("choose another cache folder with --cache DIR"));
-                }
-                self.cache.forget(&digest);
-                return Ok(Err(*from));
-            }
-        }
-        Ok(Ok(inputs))
-    }
-}
-
-/// What is known of each node while a run goes on.
-struct State {
-    turns: Vec<Option<NodeReport>>,
-    /// Values in memory, until their last use.
-    held: Vec<BTreeMap<&'static str, AnyArtifact>>,
-    /// How often the node was recomputed because of damage.
-    heals: Vec<u32>,
-}
-
-impl State {
-    fn is_done(&self, index: usize) -> bool {
-        self.turns[index].as_ref().is_some_and(|turn| matches!(turn.status, Status::Hit | Status::Ran))
-    }
-
-    fn digest(&self, index: usize, port: &str) -> Option<Digest> {
-        self.turns[index].as_ref()?.outputs.get(port).copied()
-    }
-}
-
-enum Step {
-    Done,
-    Back(usize),
-}
-
-/// What came of a node whose inputs are known.
-enum Outcome {
-    Finished { status: Status, record: Record },
-    Damaged { producer: usize },
-}
-
-impl Outcome {
-    fn hit(record: Record) -> Self {
-        Self::Finished { status: Status::Hit, record }
     }
 }
 

@@ -15,7 +15,7 @@ const BRANCHES: &str = r#"(nodes: {
 
 #[test]
 fn a_failure_names_node_parameter_remedy_and_place() {
-    let done = Bench::new().run(BRANCHES);
+    let done = Bench::new().run_with(BRANCHES, &[], &RunOptions { jobs: 1, ..RunOptions::default() });
     assert_eq!(done.statuses(), "a:ran bad:failed after:skipped aside:skipped");
     assert_eq!(
         done.problems[0].one_line(),
@@ -53,7 +53,8 @@ fn a_request_to_stop_keeps_what_is_finished() {
     let bench = Bench::new();
     let cancel = Cancel::default();
     let listener = Listener { stop_at_progress: Some(cancel.clone()), ..Listener::default() };
-    let options = RunOptions { cancel, observer: Arc::new(listener), keep_going: true, ..RunOptions::default() };
+    let options =
+        RunOptions { cancel, observer: Arc::new(listener), keep_going: true, jobs: 1, ..RunOptions::default() };
     let done = bench.run_with(BRANCHES, &["bad.how=wait"], &options);
     assert_eq!(done.statuses(), "a:ran bad:failed after:skipped aside:skipped");
     assert!(done.problems[0].one_line().contains("cancelled"));

@@ -55,7 +55,7 @@ impl Cache {
             && let Ok(bytes) = serde_json::to_vec(&Memo { stamp, content })
         {
             // Only a memo: without it the next run reads the file again.
-            let _ = self.write(&memo_path, &bytes);
+            let _ = self.write(&memo_path, &[&bytes]);
         }
         Ok(content)
     }
