@@ -23,14 +23,9 @@
 //!     const INPUTS: &'static [Port] = &[Port::many::<Files>("before", "Files to carry along.").optional()];
 //!     const OUTPUTS: &'static [Port] = &[Port::one::<Files>("files", "The greeting, and what came before.")];
 //!
-//!     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
+//!     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
 //!         let mut files = Files::new();
-//!         for (done, before) in inputs.many::<Files>("before")?.iter().enumerate() {
-//!             files.extend(before);
-//!             if context.progress(done as u64 + 1, 0, None).is_break() {
-//!                 return Err(NodeError::cancelled());
-//!             }
-//!         }
+//!         inputs.many::<Files>("before")?.iter().for_each(|before| files.extend(before));
 //!         let greeting = format!("Hello {}! ", self.name).repeat(self.times as usize);
 //!         Ok(Outputs::new().put("files", files.with("greeting.txt", greeting.into_bytes())?))
 //!     }
@@ -47,12 +42,15 @@ mod diagnostic;
 mod digest;
 mod files;
 mod graph;
+mod insight;
 mod key;
 mod node;
 mod params;
+mod picture;
 mod plan;
 mod registry;
 mod scheduler;
+mod schema;
 mod syntax;
 
 pub use artifacts::{AnyArtifact, Inputs, Outputs};
@@ -62,12 +60,18 @@ pub use diagnostic::{Place, Problem, Problems, Source};
 pub use digest::Digest;
 pub use files::Files;
 pub use graph::{Graph, GraphError};
+pub use insight::{
+    Cause, Change, Entry, Explainer, Explanation, Forecast, History, PastNode, Standing, Subject, Sweep,
+};
+pub use insight::{changes, subjects_of_plan, subjects_of_run};
 pub use node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
 pub use params::{ParamDoc, Params};
+pub use picture::{Picture, Tint};
 pub use plan::{Plan, PlanInput, PlanNode};
 pub use registry::{ErasedNode, NodeKind, Registry};
 
 pub use scheduler::{AuditReport, NodeReport, Preview, Run, RunOptions, Verdict, load};
+pub use schema::{kind_schema, schema};
 pub use syntax::Span;
 
 #[doc(hidden)]

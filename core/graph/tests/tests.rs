@@ -4,6 +4,7 @@
 mod bulk;
 mod caching;
 mod errors;
+mod explaining;
 mod failures;
 mod nodes;
 mod overlays;

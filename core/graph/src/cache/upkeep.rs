@@ -59,7 +59,7 @@ pub struct VerifyReport {
 }
 
 /// A file of a sharded folder: its digest, path, size and time.
-pub(super) struct Stored {
+pub(crate) struct Stored {
     pub digest: Digest,
     pub path: PathBuf,
     pub size: u64,
@@ -82,7 +82,7 @@ impl CacheEntry {
 
 impl Cache {
     /// All files of a sharded folder.
-    pub(super) fn stored(&self, folder: &str) -> Vec<Stored> {
+    pub(crate) fn stored(&self, folder: &str) -> Vec<Stored> {
         let shards = std::fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten();
         let files = shards.flat_map(|shard| std::fs::read_dir(shard.path()).into_iter().flatten().flatten());
         let stored = files.filter_map(|entry| {
