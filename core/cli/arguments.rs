@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::sizes;
+
 /// Relightable Gaussian head avatars that carry a prescribed heartbeat, as one cached dataflow graph.
 #[derive(Parser)]
 #[command(
@@ -43,6 +45,10 @@ pub enum Command {
         #[arg(required = true)]
         runs: Vec<PathBuf>,
     },
+    /// Look after the cache: list, measure, verify, make room
+    Cache(CacheArguments),
+    /// Run cached nodes again and compare every byte
+    Audit(AuditArguments),
     /// Fetch, list or verify the face models that real videos need
     Models {
         /// What to do with them.
@@ -93,10 +99,98 @@ pub struct RunArguments {
     /// Folder of the results [default: runs/NAME-XXXXXXXX]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Where and how.
+    #[command(flatten)]
+    pub host: HostArguments,
+}
+
+/// What runs may use of this machine. Nothing here changes what they make.
+#[derive(Args)]
+pub struct HostArguments {
     /// Folder of the cache [default: $HEARTIAN_CACHE, or .heartian/cache]
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
     /// After a failure, still run what does not depend on it
     #[arg(long)]
     pub keep_going: bool,
+    /// Most threads that nodes running at once may keep busy [default: all]
+    #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub jobs: Option<u16>,
+    /// Most memory that nodes running at once may say they need, such as 8G [default: no limit]
+    #[arg(long, value_name = "SIZE", value_parser = sizes::parse)]
+    pub memory: Option<u64>,
+    /// How often a long node keeps a state to resume from after a kill
+    #[arg(long, value_name = "SECONDS", default_value_t = 20)]
+    pub checkpoint_every: u32,
+}
+
+/// A look after the cache.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  heartian cache du
+  heartian cache gc --keep-runs 5 --dry-run
+  heartian cache gc --max-size 20G
+  heartian cache verify
+
+All of it is safe while runs go on. Whatever is dropped is made again when it is needed.")]
+pub struct CacheArguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub action: CacheAction,
+    /// Folder of the cache [default: $HEARTIAN_CACHE, or .heartian/cache]
+    #[arg(long, value_name = "DIR", global = true)]
+    pub cache: Option<PathBuf>,
+    /// For machines
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// What to do with the cache.
+#[derive(Subcommand)]
+pub enum CacheAction {
+    /// List what nodes made, the latest used first
+    Ls,
+    /// Show how much room it takes, by kind of node
+    Du,
+    /// Read every byte and drop what is damaged; fails if anything was
+    Verify,
+    /// Make room; without a limit only leftovers of killed runs go
+    Gc {
+        /// Keep only what the last N runs used
+        #[arg(long, value_name = "N")]
+        keep_runs: Option<usize>,
+        /// Drop the longest unused until the artifacts take at most this, such as 20G
+        #[arg(long, value_name = "SIZE", value_parser = sizes::parse)]
+        max_size: Option<u64>,
+        /// Only say what would go
+        #[arg(long)]
+        dry_run: bool,
+    },
+}
+
+/// An audit.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  heartian audit graphs/full.ron --sample 0.1
+  heartian audit graphs/full.ron --sample 1 --json
+
+A node whose bytes differ is not a function of what its key says. Nothing is stored.")]
+pub struct AuditArguments {
+    /// The graph.
+    #[command(flatten)]
+    pub graph: GraphArguments,
+    /// Share of the cached nodes that is recomputed, 0 to 1; at least one is
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
+    pub sample: f64,
+    /// Another number takes another sample
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    pub choice: u64,
+    /// For machines
+    #[arg(long)]
+    pub json: bool,
+    /// Where and how.
+    #[command(flatten)]
+    pub host: HostArguments,
 }

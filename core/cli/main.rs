@@ -4,7 +4,9 @@
 //! interrupted. Results go to standard output, progress and errors to standard error.
 
 mod arguments;
+mod audit;
 mod avi;
+mod cache;
 mod compare;
 mod deliver;
 mod manual;
@@ -12,6 +14,7 @@ mod models;
 mod progress;
 mod run;
 mod session;
+mod sizes;
 mod summary;
 
 use std::process::ExitCode;
@@ -29,6 +32,8 @@ fn main() -> ExitCode {
         Command::Check(arguments) => run::check(&arguments),
         Command::Nodes { kind } => manual::print(kind.as_deref()),
         Command::Compare { runs } => compare::print(&runs),
+        Command::Cache(arguments) => cache::act(&arguments),
+        Command::Audit(arguments) => audit::run(&arguments),
         Command::Models { action } => models::act(action),
     };
     done.unwrap_or_else(|report| {

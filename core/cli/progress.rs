@@ -54,7 +54,10 @@ impl Terminal {
         bar.set_style(style("{spinner} {prefix}  {elapsed}"));
         bar.set_prefix(format!("{node} ({kind})"));
         bar.enable_steady_tick(TICK);
-        self.running.lock().unwrap_or_else(PoisonError::into_inner).insert(node.to_owned(), bar);
+        let before = self.running.lock().unwrap_or_else(PoisonError::into_inner).insert(node.to_owned(), bar);
+        if let Some(waiting) = before {
+            waiting.finish_and_clear();
+        }
     }
 }
 
@@ -75,6 +78,10 @@ impl Observer for Terminal {
     fn event(&self, event: &Event<'_>) {
         match event {
             Event::Started { node, kind } => self.start(node, kind),
+            Event::Waiting { node, kind } => {
+                self.start(node, kind);
+                self.with_line(node, |bar| bar.set_style(style("{spinner} {prefix}  another run is at it  {elapsed}")));
+            }
             Event::Progress { node, progress } => self.with_line(node, |bar| report(bar, *progress)),
             Event::Warning { node, text } => self.warn(node, text),
             Event::Finished { node, status, seconds } => {

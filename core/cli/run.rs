@@ -29,7 +29,7 @@ pub fn check(arguments: &GraphArguments) -> Result<ExitCode> {
 /// Runs a graph and leaves its results in a folder.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode> {
     let (graph, plan) = load(&arguments.graph)?;
-    let session = Session::open(arguments.cache.as_deref(), arguments.keep_going)?;
+    let session = Session::open(&arguments.host)?;
     let job = Job { graph: &graph, sets: &arguments.graph.sets, plan: &plan, out: arguments.out.as_deref() };
     let done = session.carry_out(&job)?;
     session.terminal.finish();

@@ -3,16 +3,19 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use heartian_graph::{Cache, Cancel, Graph, NodeReport, Plan, Problem, Run, RunOptions, Status};
 use miette::{Result, miette};
 
+use crate::arguments::HostArguments;
 use crate::deliver::{Delivered, Delivery, deliver};
 use crate::progress::Terminal;
 
 /// How often results that turn out damaged in the cache are recomputed before giving up.
 const DELIVERIES: usize = 3;
+/// How long nodes may take to stop after Ctrl-C.
+const GRACE: Duration = Duration::from_millis(800);
 /// What a shell reports for a program ended by Ctrl-C.
 pub const INTERRUPTED: u8 = 130;
 
@@ -44,12 +47,20 @@ pub struct Done {
 
 impl Session {
     /// Opens the cache and listens for Ctrl-C.
-    pub fn open(cache: Option<&Path>, keep_going: bool) -> Result<Self> {
+    pub fn open(host: &HostArguments) -> Result<Self> {
         let cancel = Cancel::default();
         stop_on_interrupt(&cancel);
         let terminal = Arc::new(Terminal::new());
-        let options = RunOptions { cancel, observer: terminal.clone(), keep_going, ..RunOptions::default() };
-        Ok(Self { cache: open_cache(cache)?, terminal, options })
+        let default = RunOptions::default();
+        let options = RunOptions {
+            cancel,
+            observer: terminal.clone(),
+            keep_going: host.keep_going,
+            jobs: host.jobs.map_or(default.jobs, usize::from),
+            memory_bytes: host.memory.unwrap_or(default.memory_bytes),
+            checkpoint_every: Duration::from_secs(host.checkpoint_every.into()),
+        };
+        Ok(Self { cache: open_cache(host.cache.as_deref())?, terminal, options })
     }
 
     /// Whether the user asked to stop.
@@ -69,10 +80,13 @@ impl Session {
         let mut attempts = 0;
         let delivered = loop {
             reports = merge(reports, quietly(|| run.execute(&self.options)));
+            if self.cancelled() {
+                break Delivered::default();
+            }
             let delivery = Delivery { graph, sets, plan, cache: &self.cache, fingerprint };
             let delivered = deliver(&delivery, &reports, &folder)?;
             attempts += 1;
-            if !delivered.damaged || self.cancelled() {
+            if !delivered.damaged {
                 break delivered;
             }
             if attempts == DELIVERIES {
@@ -99,7 +113,8 @@ pub fn file_name(name: &str) -> String {
     name.chars().take(64).map(plain).collect()
 }
 
-/// The first Ctrl-C asks the running node to stop; the second ends the program.
+/// The first Ctrl-C asks the running nodes to stop, and ends the program if they do not do so in time; the second ends it
+/// at once. The cache holds what is finished, whichever way the program ends.
 fn stop_on_interrupt(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
@@ -108,6 +123,11 @@ fn stop_on_interrupt(cancel: &Cancel) {
         }
         cancel.request();
         eprintln!("stopping; Ctrl-C again to stop at once");
+        std::thread::spawn(|| {
+            std::thread::sleep(GRACE);
+            eprintln!("interrupted while a node was busy; what is finished is kept");
+            std::process::exit(INTERRUPTED.into());
+        });
     };
     // Without a handler Ctrl-C ends the program at once, which the cache survives.
     let _ = ctrlc::set_handler(handler);

@@ -21,6 +21,8 @@ const PLAIN: [(&str, &str, &str, usize); 12] = [
     ("avatar.gaussians", "Gaussians", "", 0),
     ("skin.gaussians", "  of them skin", "", 0),
 ];
+/// More nodes than this are not told one by one.
+const ROWS: usize = 60;
 /// With none of the figures above, this many of those there are.
 const OTHERS: usize = 12;
 
@@ -58,16 +60,22 @@ pub fn plan_table(plan: &Plan) -> String {
 /// The end of a run.
 pub fn run(name: &str, reports: &[NodeReport], metrics: &BTreeMap<String, f64>, elapsed: Duration) -> String {
     let mut rows = vec![["node", "kind", "status", "seconds"].map(str::to_owned).to_vec()];
-    rows.extend(reports.iter().map(|report| {
+    // Of many nodes only those are told that did something.
+    let told = |report: &&NodeReport| reports.len() <= ROWS || matches!(report.status, Status::Ran | Status::Failed);
+    rows.extend(reports.iter().filter(told).take(ROWS).map(|report| {
         let status = report.status.word().to_owned();
         vec![report.id.to_string(), report.kind.to_owned(), status, format!("{:.2}", report.seconds)]
     }));
+    let told = rows.len() - 1;
     let count = |status: Status| reports.iter().filter(|report| report.status == status).count();
     let counts =
         [Status::Hit, Status::Ran, Status::Failed, Status::Skipped].map(|status| (count(status), status.word()));
     let counts: Vec<String> =
         counts.iter().filter(|(count, _)| *count > 0).map(|(count, word)| format!("{count} {word}")).collect();
-    let mut text = table(&rows, &[false, false, false, true]);
+    let mut text = if told == 0 { String::new() } else { table(&rows, &[false, false, false, true]) };
+    if told < reports.len() {
+        let _ = writeln!(text, "  and {} more", reports.len() - told);
+    }
     let _ = writeln!(text, "\n{name}: {} in {:.2} s", counts.join(", "), elapsed.as_secs_f64());
     let figures = figures(metrics);
     if !figures.is_empty() {
