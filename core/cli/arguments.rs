@@ -24,6 +24,30 @@ pub struct Arguments {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
+    /// Which plugins, and what they may take.
+    #[command(flatten)]
+    pub plugins: PluginArguments,
+}
+
+/// Which plugins are loaded, for every command. Ids of arguments that all commands share must not be a command's own.
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Plugins")]
+pub struct PluginArguments {
+    /// Load a plugin, beside those that `heartian plugins ls` finds; may be repeated
+    #[arg(id = "plugin-files", long = "plugin", value_name = "FILE", global = true)]
+    pub files: Vec<PathBuf>,
+    /// How long a plugin's node may give no sign of life, in seconds [default: 600]
+    #[arg(
+        id = "plugin-silence",
+        long = "plugin-timeout",
+        value_name = "SECONDS",
+        global = true,
+        hide_short_help = true
+    )]
+    pub silence: Option<f64>,
+    /// Most memory of a plugin's process, in bytes, or such as 4G; 0: any [default: 16G]
+    #[arg(id = "plugin-memory", long = "plugin-memory", value_name = "BYTES", global = true, hide_short_help = true)]
+    pub memory: Option<String>,
 }
 
 /// The commands.
@@ -49,11 +73,55 @@ pub enum Command {
     Cache(CacheArguments),
     /// Run cached nodes again and compare every byte
     Audit(AuditArguments),
+    /// List, check or trust plugins: libraries that bring nodes of their own
+    #[command(after_help = "\
+Plugins are found in the files and folders that $HEARTIAN_PLUGIN_PATH names, in the folder `plugins` of your data folder
+for Heartian, and in a folder `plugins` beside the program. `--plugin FILE` loads one more.
+A plugin's nodes run in a process of their own, so that a mistake there fails the node and nothing else. That is no guard
+against malice: a plugin is a program. One whose digest stands in `plugins.lock` runs inside Heartian, which is quicker.
+
+Examples:
+  heartian plugins ls
+  heartian plugins check target/release/libmine.so
+  heartian nodes Mine --plugin target/release/libmine.so
+  heartian run graph.ron --plugin target/release/libmine.so")]
+    Plugins {
+        /// What to do with them.
+        #[command(subcommand)]
+        action: PluginsAction,
+    },
+    /// Runs a plugin's nodes for another process
+    #[command(hide = true)]
+    PluginHost {
+        /// The library.
+        library: PathBuf,
+        /// What it must hold.
+        digest: heartian_graph::Digest,
+        /// Address space in bytes; 0: any.
+        memory: u64,
+    },
     /// Fetch, list or verify the face models that real videos need
     Models {
         /// What to do with them.
         #[command(subcommand)]
         action: ModelsAction,
+    },
+}
+
+/// What to do with plugins.
+#[derive(Subcommand)]
+pub enum PluginsAction {
+    /// Show every plugin that is found, what it brings, and whether it can be used
+    Ls,
+    /// Load a plugin afresh, in a process of its own, and say all that it brings or what is wrong
+    Check {
+        /// The library
+        file: PathBuf,
+    },
+    /// Let a plugin run inside Heartian: writes its digest to `plugins.lock` in this folder
+    Trust {
+        /// The library
+        file: PathBuf,
     },
 }
 

@@ -11,6 +11,7 @@ mod compare;
 mod deliver;
 mod manual;
 mod models;
+mod plugins;
 mod progress;
 mod run;
 mod session;
@@ -27,13 +28,19 @@ use crate::arguments::{Arguments, Command};
 use {heartian_nodes_avatar as _, heartian_nodes_capture as _, heartian_nodes_measure as _, heartian_nodes_pulse as _};
 
 fn main() -> ExitCode {
-    let done = match Arguments::parse().command {
+    let arguments = Arguments::parse();
+    plugins::remember(arguments.plugins);
+    let done = match arguments.command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Check(arguments) => run::check(&arguments),
         Command::Nodes { kind } => manual::print(kind.as_deref()),
         Command::Compare { runs } => compare::print(&runs),
         Command::Cache(arguments) => cache::act(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),
+        Command::Plugins { action } => plugins::act(&action),
+        Command::PluginHost { library, digest, memory } => {
+            return heartian_graph::serve_plugin(&library, &digest, memory);
+        }
         Command::Models { action } => models::act(action),
     };
     done.unwrap_or_else(|report| {

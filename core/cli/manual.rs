@@ -3,15 +3,16 @@
 use std::fmt::Write;
 use std::process::ExitCode;
 
-use heartian_graph::{NodeKind, ParamDoc, Port, Registry};
+use heartian_graph::{NodeKind, ParamDoc, Port};
 use miette::{Result, miette};
 use serde_json::Value;
 
+use crate::plugins;
 use crate::summary::table;
 
 /// Prints the list of kinds, or one kind's manual.
 pub fn print(kind: Option<&str>) -> Result<ExitCode> {
-    let registry = Registry::compiled_in();
+    let registry = plugins::registry()?;
     let Some(name) = kind else {
         let widest = registry.iter().map(|kind| kind.kind.len()).max().unwrap_or(0);
         for kind in registry.iter() {
@@ -62,7 +63,7 @@ fn first_sentence(doc: &str) -> String {
     text.split_once(". ").map_or(text.clone(), |(sentence, _)| format!("{sentence}."))
 }
 
-fn page(kind: &NodeKind) -> String {
+pub fn page(kind: &NodeKind) -> String {
     let mut text = format!("{} (revision {})\n\n{}", kind.kind, kind.revision, wrapped("", kind.doc));
     for (title, ports) in [("Inputs", kind.inputs), ("Outputs", kind.outputs)] {
         if !ports.is_empty() {

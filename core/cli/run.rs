@@ -2,10 +2,11 @@
 
 use std::process::ExitCode;
 
-use heartian_graph::{Graph, Plan, Registry};
+use heartian_graph::{Graph, Plan};
 use miette::Result;
 
 use crate::arguments::{GraphArguments, RunArguments};
+use crate::plugins;
 use crate::session::{INTERRUPTED, Job, Session};
 use crate::summary;
 
@@ -13,7 +14,7 @@ use crate::summary;
 pub fn load(arguments: &GraphArguments) -> Result<(Graph, Plan)> {
     let mut graph = Graph::load(&arguments.graph)?;
     arguments.sets.iter().for_each(|set| graph.set(set));
-    let plan = graph.plan(&Registry::compiled_in(), &arguments.targets)?;
+    let plan = graph.plan(plugins::registry()?, &arguments.targets)?;
     Ok((graph, plan))
 }
 

@@ -182,6 +182,11 @@ impl Context {
         if self.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
+    /// The request to stop, for who must wait for something else meanwhile.
+    pub(crate) fn canceller(&self) -> Cancel {
+        self.cancel.clone()
+    }
+
     /// Whether the user asked to stop.
     pub fn cancelled(&self) -> bool {
         self.cancel.requested()

@@ -48,6 +48,7 @@ mod node;
 mod params;
 mod picture;
 mod plan;
+mod plugin;
 mod registry;
 mod scheduler;
 mod schema;
@@ -68,6 +69,9 @@ pub use node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
 pub use params::{ParamDoc, Params};
 pub use picture::{Picture, Tint};
 pub use plan::{Plan, PlanInput, PlanNode};
+pub use plugin::{
+    HostCommand, Plugin, PluginError, PluginLimits, PluginLock, Plugins, TrustedPlugin, plugin_files, serve_plugin,
+};
 pub use registry::{ErasedNode, NodeKind, Registry};
 
 pub use scheduler::{AuditReport, NodeReport, Preview, Run, RunOptions, Verdict, load};

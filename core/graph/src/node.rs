@@ -94,6 +94,11 @@ impl Port {
         Self { name, artifact, doc, many: false, required: true, decode: None }
     }
 
+    /// A port of the same type under another name, for a library that names the type in words.
+    pub(crate) fn alike(&self, name: &'static str, doc: &'static str) -> Self {
+        Self { name, doc, many: false, required: true, ..*self }
+    }
+
     /// Reads what travels here from its on-disk form.
     pub(crate) fn decode(&self, bytes: Vec<u8>) -> Result<AnyArtifact, ArtifactError> {
         match self.decode {

@@ -7,6 +7,8 @@ mod order;
 mod params;
 mod wires;
 
+pub(crate) use params::out_of_bounds;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -69,8 +69,24 @@ pub struct NodeKind {
     pub outputs: &'static [Port],
     /// Its parameters.
     pub params: &'static [ParamDoc],
-    default: fn() -> Box<dyn ErasedNode>,
-    build: fn(Fields<'_>) -> Result<Box<dyn ErasedNode>, DeError>,
+    pub(crate) make: Make,
+}
+
+/// How nodes of a kind are made.
+#[derive(Clone, Copy)]
+pub(crate) enum Make {
+    /// Linked into the program.
+    Linked { default: fn() -> Box<dyn ErasedNode>, build: fn(Fields<'_>) -> Result<Box<dyn ErasedNode>, DeError> },
+    /// Described by a library at run time.
+    Loaded(&'static dyn Maker),
+}
+
+/// Makes nodes of a kind that was described at run time.
+pub(crate) trait Maker: Send + Sync {
+    /// A node with these parameters, the others by default.
+    fn build(&self, params: &[(&str, &Spanned)]) -> Result<Box<dyn ErasedNode>, DeError>;
+    /// A node with default parameters.
+    fn default_node(&self) -> Box<dyn ErasedNode>;
 }
 
 impl NodeKind {
@@ -84,19 +100,27 @@ impl NodeKind {
             inputs: N::INPUTS,
             outputs: N::OUTPUTS,
             params: N::PARAMS,
-            default: || Box::new(N::default()),
-            build: |fields| Ok(Box::new(N::deserialize(fields)?)),
+            make: Make::Linked {
+                default: || Box::new(N::default()),
+                build: |fields| Ok(Box::new(N::deserialize(fields)?)),
+            },
         }
     }
 
     /// A node with default parameters.
     pub fn default_node(&self) -> Box<dyn ErasedNode> {
-        (self.default)()
+        match self.make {
+            Make::Linked { default, .. } => default(),
+            Make::Loaded(maker) => maker.default_node(),
+        }
     }
 
     /// A node with these parameters, the others by default.
     pub(crate) fn build(&self, params: &[(&str, &Spanned)]) -> Result<Box<dyn ErasedNode>, DeError> {
-        (self.build)(Fields(params))
+        match self.make {
+            Make::Linked { build, .. } => build(Fields(params)),
+            Make::Loaded(maker) => maker.build(params),
+        }
     }
 
     /// The input of that name.
@@ -139,11 +163,23 @@ impl Registry {
 
     /// These kinds and no others; the first of equal names wins, [`Registry::all_compiled_in`] shows them all.
     pub fn of(kinds: impl IntoIterator<Item = NodeKind>) -> Self {
-        let mut map = BTreeMap::new();
+        let mut registry = Self::default();
+        registry.extend(kinds);
+        registry
+    }
+
+    /// Adds kinds that are not there yet.
+    pub(crate) fn extend(&mut self, kinds: impl IntoIterator<Item = NodeKind>) {
         for kind in kinds {
-            map.entry(kind.kind).or_insert(kind);
+            self.kinds.entry(kind.kind).or_insert(kind);
         }
-        Self { kinds: map }
+    }
+
+    /// A port of a built-in kind that carries the artifact type of that name.
+    pub(crate) fn artifact(&self, name: &str) -> Option<&'static Port> {
+        let built_in = self.kinds.values().filter(|kind| kind.implementation.is_none());
+        let mut ports = built_in.flat_map(|kind| kind.inputs.iter().chain(kind.outputs));
+        ports.find(|port| port.artifact.name == name)
     }
 
     /// Every registration, equal names included, for the law that there are none.

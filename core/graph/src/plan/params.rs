@@ -116,7 +116,7 @@ fn check_one<'s>(
 }
 
 /// Why a value breaks the parameter's range or choices, if it does.
-fn out_of_bounds(param: &ParamDoc, value: &Value) -> Option<String> {
+pub(crate) fn out_of_bounds(param: &ParamDoc, value: &Value) -> Option<String> {
     match value {
         Value::Number(number) => {
             let (least, greatest) = param.range?;
