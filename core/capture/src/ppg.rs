@@ -1,16 +1,9 @@
-//! Contact PPG from a CSV file: a header `time_s,ppg`, one sample a line, any sampling rate.
-//!
-//! Reading is bounded in memory and tolerant of what spreadsheets leave behind (blank lines, spaces, a byte-order mark,
-//! CRLF, further columns, semicolons). It is not tolerant of numbers that are not numbers: a pulse with NaN in it has no
-//! right answer, so the line is named and nothing is guessed.
+//! Contact PPG from a CSV file: a header `time_s,ppg`, one sample a line, any sampling rate (`heartian_space::read_csv`).
 
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use heartian_space::{Clip, Series, SpaceError};
+use heartian_space::{Clip, CsvError, CsvKind, Series, SpaceError, read_csv};
 
-/// Largest file read, bytes: a day at 1 kHz is below.
-const MAX_BYTES: u64 = 1 << 31;
 /// How far a trace may end before the clip's last frame and still count as covering it, in frame intervals.
 const SLACK_FRAMES: f64 = 1.5;
 
@@ -18,24 +11,9 @@ const SLACK_FRAMES: f64 = 1.5;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PpgError {
-    /// It cannot be read.
-    #[error("{}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// A line does not hold two numbers.
-    #[error("{}:{line}: {reason}", path.display())]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// 1-based line.
-        line: usize,
-        /// What is wrong there, and what would be right.
-        reason: String,
-    },
+    /// It cannot be read, or a line does not hold two numbers.
+    #[error(transparent)]
+    Csv(#[from] CsvError),
     /// The samples contradict one another or do not reach over the clip.
     #[error("{}: {source}; {remedy}", path.display())]
     Series {
@@ -80,51 +58,12 @@ pub fn cover_clip(path: &Path, whole: &Series, clip: &Clip) -> Result<ClipPpg, P
 /// # Errors
 /// When the file cannot be read, or a line does not hold two finite numbers in order of time.
 pub fn read_ppg(path: &Path) -> Result<Series, PpgError> {
-    let read = |source| PpgError::Read { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(read)?;
-    let (mut times, mut values) = (Vec::new(), Vec::new());
-    let mut separator = ',';
-    for (index, line) in BufReader::new(file.take(MAX_BYTES)).lines().enumerate() {
-        let wrong = |reason: String| PpgError::Line { path: path.to_owned(), line: index + 1, reason };
-        let line = line.map_err(read)?;
-        let line = line.trim_start_matches('\u{feff}').trim();
-        if index == 0 {
-            separator = header_separator(line).map_err(wrong)?;
-        } else if !line.is_empty() {
-            let (time, value) = sample(line, separator).map_err(wrong)?;
-            times.push(time);
-            values.push(value);
-        }
-    }
+    let kind = CsvKind { header: &["time_s", "ppg"], values: &["the time", "the PPG value"] };
+    let (_, mut columns) = read_csv(path, &[kind])?;
+    let values = columns.pop().unwrap_or_default();
     let remedy = "times must increase from line to line";
-    Series::new(times, values).map_err(|source| PpgError::Series { path: path.to_owned(), source, remedy })
-}
-
-fn header_separator(line: &str) -> Result<char, String> {
-    let is_header = |separator: char| {
-        let mut columns = line.split(separator).map(|column| column.trim().to_ascii_lowercase());
-        columns.next().as_deref() == Some("time_s") && columns.next().as_deref() == Some("ppg")
-    };
-    let found = [',', ';', '\t'].into_iter().find(|separator| is_header(*separator));
-    found.ok_or_else(|| {
-        let shown: String = line.chars().take(40).collect();
-        format!("the first line is `{shown}`; it must be the header `time_s,ppg`")
-    })
-}
-
-fn sample(line: &str, separator: char) -> Result<(f64, f64), String> {
-    let mut columns = line.split(separator).map(str::trim);
-    let mut number = |what: &str| {
-        let text = columns.next().unwrap_or("");
-        match text.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(format!(
-                "{what} is `{}`, not a finite number; remove the line or interpolate",
-                text.chars().take(40).collect::<String>()
-            )),
-        }
-    };
-    Ok((number("the time")?, number("the PPG value")?))
+    let series = |source| PpgError::Series { path: path.to_owned(), source, remedy };
+    Series::new(columns.pop().unwrap_or_default(), values).map_err(series)
 }
 
 #[cfg(test)]

@@ -69,6 +69,17 @@ pub enum PulseError {
     /// A renderer that was handed in failed.
     #[error("the renderer refused: {0}")]
     Renderer(String),
+    /// A file that holds no pulse.
+    #[error("{}: {reason}", path.display())]
+    File {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong with it, and what would be right.
+        reason: String,
+    },
+    /// A file that cannot be read.
+    #[error(transparent)]
+    Csv(#[from] heartian_space::CsvError),
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,

@@ -15,6 +15,7 @@ use heartian_space::Progress;
 
 use crate::adam::Adam;
 use crate::error::{PulseError, check_length};
+use crate::limit::{KNEE, Limited};
 use crate::losses::WaveformTarget;
 use crate::numeric::mean;
 use crate::phase::{Parameterization, Phase};
@@ -55,8 +56,8 @@ pub struct FitReport {
     pub base_loss: f64,
     /// Peak-to-peak of the fundamental on the picture, 8-bit levels.
     pub levels: f64,
-    /// Offsets limited by the bound on 8-bit levels.
-    pub limited: u64,
+    /// Where the bound on 8-bit levels acted.
+    pub limited: Limited,
 }
 
 /// A callback that may stop the work.
@@ -113,7 +114,7 @@ fn starting_point(
             (0..count).map(|t| first + line(t)).collect()
         }
     };
-    let phase = Phase::following(options.parameterization, &unwrapped);
+    let phase = Phase::following_at(options.parameterization, &reference.times_seconds, &unwrapped);
     let waveform = match options.start {
         Start::MeanRate => Waveform::default(),
         Start::Beats => warm_waveform(reference, target.values(), &options.penalties),
@@ -130,7 +131,7 @@ fn descend(objective: &Objective<'_>, variables: &mut Variables, progress: Watch
     // Adam's first steps move every increment by the full rate; over T frames that adds up to T times as much phase.
     let calm = match options.parameterization {
         Parameterization::Cumulative => (options.calm_frames / variables.phase.len() as f64).min(1.0),
-        Parameterization::Direct => 1.0,
+        Parameterization::Direct | Parameterization::Anchored => 1.0,
     };
     for step in 0..steps {
         let (losses, gradient) = objective.evaluate(variables)?;
@@ -170,7 +171,8 @@ fn finish(
     let (options, reference) = (objective.options, objective.reference);
     let Variables { phase, waveform, scale, log_scale } = variables;
     let theta = phase.theta();
-    let shape = waveform.evaluate(&theta);
+    let mut shape = waveform.evaluate(&theta);
+    reference.envelope.apply(&mut shape);
     let extent =
         shape.iter().copied().fold(f64::NEG_INFINITY, f64::max) - shape.iter().copied().fold(f64::INFINITY, f64::min);
     let wanted = options.amplitude * scene.mean_green_albedo;
@@ -181,9 +183,12 @@ fn finish(
         255.0 * f64::from(heartian_space::color::srgb_from_linear_derivative(scene.mean_green_albedo as f32))
     });
     let most = options.most_levels / per_albedo.max(1e-9);
-    let strength = (scale * log_scale.exp() * extent).clamp(floor, ceiling).min(most);
-    let scale = strength / extent.max(1e-9);
     let level = if options.centred { mean(&shape) } else { 0.0 };
+    // A beat stands farther out on one side; that side, too, stays below where the bound begins to bend.
+    let farthest = shape.iter().fold(0.0f64, |most, value| most.max((value - level).abs()));
+    let unbent = 0.5 * KNEE * most * extent / farthest.max(1e-9);
+    let strength = (scale * log_scale.exp() * extent).clamp(floor, ceiling).min(most).min(unbent);
+    let scale = strength / extent.max(1e-9);
     let report = FitReport {
         steps: u64::from(options.steps_for(reference.len())),
         phase_loss: losses.phase,
@@ -193,7 +198,7 @@ fn finish(
         full_pearson: None,
         base_loss: losses.base,
         levels: strength * per_albedo,
-        limited: 0,
+        limited: Limited::default(),
     };
     let pulse = Pulse {
         times_seconds: reference.times_seconds.clone(),

@@ -16,9 +16,11 @@
 //!   step, 300 steps (mean over all 6,000 Gaussians afterwards: Pearson ≥ 0.999 on real PPG).
 
 mod adam;
+mod arrival;
 mod error;
 mod fit;
 mod frame_by_frame;
+mod limit;
 pub mod losses;
 pub mod numeric;
 mod phase;
@@ -33,9 +35,10 @@ pub use adam::Schedule;
 pub use error::PulseError;
 pub use fit::{FitReport, PhaseOptions, PhaseRates, Scene, Start, Watch, fit_phase};
 pub use frame_by_frame::{FrameByFrame, RenderFrame};
-pub use phase::{Parameterization, Phase, PhaseGradient};
+pub use limit::{KNEE, Limited};
+pub use phase::{Anchors, Parameterization, Phase, PhaseGradient};
 pub use pulse::{Pulse, Strength, modulation_from_fundamental};
-pub use reference::{Prescription, Reference};
+pub use reference::{Prescription, PulseFile, Reference, Rhythm};
 pub use render_loss::{BaseLoss, FrozenRenderer};
 pub use residual_fit::{Evaluation, ResidualOptions, evaluate_all, fit_residual, mean_offsets};
 pub use waveform::{PenaltyWeights, Waveform, WaveformGradient, Waves};

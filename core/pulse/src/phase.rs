@@ -1,7 +1,12 @@
-//! Cardiac phase over a clip: cumulative (paper, equation 3) or direct on the unit circle (the paper's alternative).
+//! Cardiac phase over a clip: cumulative (paper, equation 3), direct on the unit circle (the paper's alternative), or held
+//! by anchors (`phase/anchored.rs`), which does not drift and goes on beyond the fitted frames.
 //!
 //! One value a frame, radians in [−π, π], 0 at the systolic peak. Everything f64: the accumulated phase of 10⁶ frames
 //! keeps an error below 1e-8 rad, tested.
+
+mod anchored;
+
+pub use anchored::Anchors;
 
 use crate::numeric::{sigmoid, softplus, softplus_inverse, wrap};
 
@@ -13,6 +18,9 @@ pub enum Parameterization {
     Cumulative,
     /// One free point (x, y) of the unit circle a frame.
     Direct,
+    /// A bounded correction at each beat of the reference, linear in time between: errors do not add up, and phase is
+    /// defined at any time.
+    Anchored,
 }
 
 /// The learnable phase of a clip of T ≥ 1 frames.
@@ -22,8 +30,11 @@ pub struct Phase {
     pub parameterization: Parameterization,
     /// φ₀, radians; unused by `Direct`.
     pub initial: f64,
-    /// `Cumulative`: T raw increments, softplus of which is δ_k. `Direct`: T pairs (x, y), interleaved.
+    /// `Cumulative`: T raw increments, softplus of which is δ_k. `Direct`: T pairs (x, y), interleaved. `Anchored`: one
+    /// raw correction an anchor.
     pub raw: Vec<f64>,
+    /// Of `Anchored`; empty otherwise.
+    pub anchors: Anchors,
 }
 
 /// Gradient with respect to the fields of [`Phase`].
@@ -39,13 +50,23 @@ pub struct PhaseGradient {
 const LEAST_INCREMENT: f64 = 2e-3;
 
 impl Phase {
-    /// A phase that follows `unwrapped` (radians, one a frame) as closely as its parameterisation can; increments are
-    /// floored at 2e-3 rad a frame, since the cumulative form only moves forward.
+    /// As [`Self::following_at`] with a frame a second.
     pub fn following(parameterization: Parameterization, unwrapped: &[f64]) -> Self {
+        let frames: Vec<f64> = (0..unwrapped.len()).map(|t| t as f64).collect();
+        Self::following_at(parameterization, &frames, unwrapped)
+    }
+
+    /// A phase that follows `unwrapped` (radians, one a frame) at increasing frame times as closely as its
+    /// parameterisation can; increments are floored at 2e-3 rad a frame, since the cumulative form only moves forward.
+    pub fn following_at(parameterization: Parameterization, frame_seconds: &[f64], unwrapped: &[f64]) -> Self {
         match parameterization {
             Parameterization::Direct => {
                 let raw = unwrapped.iter().flat_map(|angle| [angle.cos(), angle.sin()]).collect();
-                Self { parameterization, initial: 0.0, raw }
+                Self { parameterization, initial: 0.0, raw, anchors: Anchors::default() }
+            }
+            Parameterization::Anchored => {
+                let anchors = Anchors::through(frame_seconds, unwrapped);
+                Self { parameterization, initial: 0.0, raw: vec![0.0; anchors.seconds.len()], anchors }
             }
             Parameterization::Cumulative => {
                 let first = unwrapped.first().copied().unwrap_or(0.0);
@@ -57,7 +78,7 @@ impl Phase {
                     raw.push(softplus_inverse(increment));
                     reached += increment;
                 }
-                Self { parameterization, initial: before, raw }
+                Self { parameterization, initial: before, raw, anchors: Anchors::default() }
             }
         }
     }
@@ -67,6 +88,7 @@ impl Phase {
         match self.parameterization {
             Parameterization::Cumulative => self.raw.len(),
             Parameterization::Direct => self.raw.len() / 2,
+            Parameterization::Anchored => self.anchors.frame_seconds.len(),
         }
     }
 
@@ -88,6 +110,24 @@ impl Phase {
                 self.raw.iter().map(step).collect()
             }
             Parameterization::Direct => self.raw.as_chunks::<2>().0.iter().map(|[x, y]| y.atan2(*x)).collect(),
+            Parameterization::Anchored => self.anchors.theta(&self.raw),
+        }
+    }
+
+    /// θ at times after the fitted frames, by what each parameterisation knows there: `Cumulative` goes on at its mean
+    /// increment, `Direct` has no rule and stays at its last point, `Anchored` follows its rate model.
+    pub fn continued(&self, frame_seconds: &[f64], later_seconds: &[f64]) -> Vec<f64> {
+        let (theta, count) = (self.theta(), frame_seconds.len());
+        let last = theta.last().copied().unwrap_or(0.0);
+        let end = frame_seconds.last().copied().unwrap_or(0.0);
+        match self.parameterization {
+            Parameterization::Direct => vec![last; later_seconds.len()],
+            Parameterization::Anchored => later_seconds.iter().map(|&t| wrap(self.anchors.at(&self.raw, t))).collect(),
+            Parameterization::Cumulative => {
+                let gained: f64 = self.raw.iter().skip(1).map(|&raw| softplus(raw)).sum();
+                let span = if count > 1 { end - frame_seconds[0] } else { 1.0 };
+                later_seconds.iter().map(|&t| wrap(last + gained / span * (t - end))).collect()
+            }
         }
     }
 
@@ -111,6 +151,9 @@ impl Phase {
                 };
                 PhaseGradient { initial: 0.0, raw: points.zip(theta_gradient).flat_map(pull).collect() }
             }
+            Parameterization::Anchored => {
+                PhaseGradient { initial: 0.0, raw: self.anchors.theta_vjp(&self.raw, theta_gradient) }
+            }
         }
     }
 
@@ -130,6 +173,9 @@ mod tests {
     use super::*;
     use crate::numeric::Random;
     use std::f64::consts::PI;
+
+    const ALL: [Parameterization; 3] =
+        [Parameterization::Cumulative, Parameterization::Direct, Parameterization::Anchored];
 
     fn check_gradient(phase: &Phase) {
         let mut random = Random::new(7);
@@ -156,15 +202,18 @@ mod tests {
     #[test]
     fn gradients_match_finite_differences() {
         let unwrapped: Vec<f64> = (0..40).map(|t| -PI + 0.21 * t as f64).collect();
-        for parameterization in [Parameterization::Cumulative, Parameterization::Direct] {
-            check_gradient(&Phase::following(parameterization, &unwrapped));
+        for parameterization in ALL {
+            let mut phase = Phase::following(parameterization, &unwrapped);
+            check_gradient(&phase);
+            phase.raw.iter_mut().enumerate().for_each(|(k, raw)| *raw += 0.3 * (k as f64).sin());
+            check_gradient(&phase);
         }
     }
 
     #[test]
     fn follows_what_it_is_given_across_the_cut() {
         let unwrapped: Vec<f64> = (0..500).map(|t| PI - 0.5 + 0.2 * t as f64).collect();
-        for parameterization in [Parameterization::Cumulative, Parameterization::Direct] {
+        for parameterization in ALL {
             let theta = Phase::following(parameterization, &unwrapped).theta();
             for (found, wanted) in theta.iter().zip(&unwrapped) {
                 assert!(wrap(found - wanted).abs() < 1e-9 && found.abs() <= PI + 1e-12);
@@ -179,6 +228,7 @@ mod tests {
             parameterization: Parameterization::Cumulative,
             initial: -increment,
             raw: vec![softplus_inverse(increment); 1_000_000],
+            anchors: Anchors::default(),
         };
         let theta = phase.theta();
         let worst = (0..theta.len()).map(|t| wrap(theta[t] - increment * t as f64).abs()).fold(0.0, f64::max);
@@ -187,5 +237,34 @@ mod tests {
         let drift = (f64::from(single) - increment * 1e6).abs();
         println!("drift over 1e6 frames: f64 {worst:.1e} rad, f32 {drift:.1e} rad");
         assert!(drift > 1.0, "the f32 sum is expected to fail");
+    }
+
+    #[test]
+    fn anchors_hold_a_million_frames_and_go_on_beyond_them() {
+        let unwrapped: Vec<f64> = (0..1_000_000).map(|t| 0.209_439_510_239_319_56 * f64::from(t) - 1.0).collect();
+        let times: Vec<f64> = (0..1_000_000).map(|t| f64::from(t) / 30.0).collect();
+        let mut phase = Phase::following_at(Parameterization::Anchored, &times[..990_000], &unwrapped[..990_000]);
+        // One anchor pulled away as far as it goes moves its two beats and nothing else.
+        phase.raw[5] = 40.0;
+        let theta = phase.theta();
+        let off = |t: usize| wrap(theta[t] - unwrapped[t]).abs();
+        assert!((0..990_000).filter(|&t| off(t) > 1e-8).count() <= 60);
+        assert!((0..990_000).all(|t| off(t) <= PI / 4.0 + 1e-9));
+        let later = phase.continued(&times[..990_000], &times[990_000..]);
+        let worst = (0..10_000).map(|k| wrap(later[k] - unwrapped[990_000 + k]).abs()).fold(0.0, f64::max);
+        println!("5.6 min beyond a steady rate: {worst:.1e} rad");
+        assert!(worst < 1e-6);
+    }
+
+    #[test]
+    fn a_phase_that_stands_still_or_has_one_frame_is_defined() {
+        for unwrapped in [vec![0.3], vec![0.3; 5], vec![0.3, 0.2, 0.1]] {
+            for parameterization in ALL {
+                let phase = Phase::following(parameterization, &unwrapped);
+                assert_eq!(phase.theta().len(), unwrapped.len());
+                assert!(phase.theta().iter().all(|theta| theta.is_finite()));
+                assert!(phase.theta_vjp(&vec![1.0; unwrapped.len()]).raw.iter().all(|g| g.is_finite()));
+            }
+        }
     }
 }

@@ -6,9 +6,11 @@
 use heartian_artifact::{Artifact, ArtifactError, ArtifactType, Bundle, BundleReader};
 use heartian_space::{Modulation, Skin};
 
+use crate::arrival::Arrival;
 use crate::error::{PulseError, check_length};
 use crate::fit::FitReport;
-use crate::phase::Phase;
+use crate::limit::{Limit, Limited};
+use crate::phase::{Anchors, Parameterization, Phase};
 use crate::residual::{Residual, Shape};
 use crate::waveform::Waveform;
 
@@ -73,6 +75,12 @@ impl Pulse {
         }
     }
 
+    /// The fundamental before scaling and centring: u(θ) with the prescription's envelope, one value a frame.
+    pub fn shape(&self) -> Vec<f64> {
+        let scale = self.strength.scale.max(1e-300);
+        self.fundamental.iter().map(|value| value / scale + self.strength.level).collect()
+    }
+
     /// Half of the bound on 8-bit levels, as linear albedo: no offset is larger in magnitude.
     pub fn most_offset(&self) -> f64 {
         0.5 * self.strength.most_levels / self.strength.levels_per_albedo.max(1e-9)
@@ -89,6 +97,14 @@ impl Pulse {
         ] {
             check_length(what, count, found)?;
         }
+        let anchors = &self.phase.anchors;
+        if self.phase.parameterization == Parameterization::Anchored {
+            check_length("the phase's corrections", anchors.seconds.len(), self.phase.raw.len())?;
+            check_length("the phase's anchors", anchors.seconds.len(), anchors.phase.len())?;
+            if !anchors.seconds.is_sorted_by(|a, b| a < b) {
+                return Err(heartian_space::SpaceError::Order("the phase's anchors").into());
+            }
+        }
         if let Some(residual) = &self.residual {
             let expected = residual.shape.checked()?.layout().len;
             check_length("the residual's weights", expected, residual.weights.len())?;
@@ -97,29 +113,37 @@ impl Pulse {
     }
 }
 
-/// The modulation of the fundamental alone: every skin Gaussian gets the same offset (graphs without residual).
+/// The modulation of the fundamental alone (graphs without residual): the same at every skin Gaussian, unless the skin has
+/// a perfusion map. Also says where the bound on 8-bit levels acted.
 ///
 /// # Errors
 /// When there is no skin, or the pulse has no frame.
-pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<Modulation, PulseError> {
+pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<(Modulation, Limited), PulseError> {
     let count = skin.gaussians.len();
     if count == 0 {
         return Err(PulseError::NoSkin);
     }
-    let most = pulse.most_offset();
-    let frame = |value: &f64| std::iter::repeat_n(value.clamp(-most, most) as f32, count);
-    let offsets = pulse.fundamental.iter().flat_map(frame).collect();
+    let (arrival, limit) = (Arrival::new(pulse, skin), Limit::new(pulse.most_offset()));
+    let mut counts = vec![0; pulse.len()];
+    let mut offsets = Vec::with_capacity(count * pulse.len());
+    for (frame, changed) in counts.iter_mut().enumerate() {
+        for gaussian in 0..count {
+            let (offset, limited) = limit.apply(arrival.at(frame, gaussian));
+            offsets.push(offset);
+            *changed += u64::from(limited);
+        }
+    }
     let modulation = Modulation {
         gaussians: skin.gaussians.clone(),
         times_seconds: pulse.times_seconds.clone(),
         offsets,
         red_blue: skin.red_blue.clone(),
     };
-    Ok(modulation.checked()?)
+    Ok((modulation.checked()?, Limited::from_counts(&counts)))
 }
 
 impl Artifact for Pulse {
-    const TYPE: ArtifactType = ArtifactType { name: "pulse", version: 1 };
+    const TYPE: ArtifactType = ArtifactType { name: "pulse", version: 2 };
 
     fn to_bundle(&self) -> Result<Bundle<'_>, ArtifactError> {
         let count = self.len();
@@ -130,6 +154,8 @@ impl Artifact for Pulse {
             .tensor("fundamental", &[count], &self.fundamental)?
             .tensor("reference", &[count], &self.reference)?
             .tensor("phase", &[self.phase.raw.len()], &self.phase.raw)?
+            .tensor("anchor_seconds", &[self.phase.anchors.seconds.len()], &self.phase.anchors.seconds)?
+            .tensor("anchor_phase", &[self.phase.anchors.phase.len()], &self.phase.anchors.phase)?
             .meta("phase", &(self.phase.parameterization, self.phase.initial))?
             .meta("waveform", &self.waveform)?
             .meta("strength", &self.strength)?
@@ -144,17 +170,23 @@ impl Artifact for Pulse {
 
     fn from_bundle(reader: BundleReader<'_>) -> Result<Self, ArtifactError> {
         let (parameterization, initial) = reader.meta("phase")?;
+        let times_seconds: Vec<f64> = reader.tensor("times_seconds")?.1;
+        let anchors = Anchors {
+            seconds: reader.tensor("anchor_seconds")?.1,
+            phase: reader.tensor("anchor_phase")?.1,
+            frame_seconds: if parameterization == Parameterization::Anchored { times_seconds.clone() } else { vec![] },
+        };
         let residual = match reader.meta::<Option<Shape>>("residual")? {
             Some(shape) => Some(Residual { shape, weights: reader.tensor("residual")?.1 }),
             None => None,
         };
         Self {
-            times_seconds: reader.tensor("times_seconds")?.1,
+            times_seconds,
             theta: reader.tensor("theta")?.1,
             beat: reader.tensor("beat")?.1,
             fundamental: reader.tensor("fundamental")?.1,
             reference: reader.tensor("reference")?.1,
-            phase: Phase { parameterization, initial, raw: reader.tensor("phase")?.1 },
+            phase: Phase { parameterization, initial, raw: reader.tensor("phase")?.1, anchors },
             waveform: reader.meta("waveform")?,
             strength: reader.meta("strength")?,
             residual,

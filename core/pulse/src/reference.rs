@@ -3,10 +3,14 @@
 //!
 //! All arrays have one entry a frame. Phase is unwrapped, radians, a multiple of 2π at each systolic peak.
 
+mod file;
+mod heartbeat;
 mod prescription;
 mod weak_phase;
 
-pub use prescription::Prescription;
+pub use file::PulseFile;
+pub use heartbeat::{Heartbeat, Rhythm};
+pub use prescription::{Envelope, Prescription};
 pub use weak_phase::{WeakPhase, weak_phase};
 
 use heartian_signal::Detrender;
@@ -45,6 +49,8 @@ pub struct Reference {
     pub mean_bpm: f64,
     /// Whether the supplied PPG was upside down.
     pub inverted: bool,
+    /// What is known beforehand of each frame's strength and baseline.
+    pub envelope: Envelope,
 }
 
 /// Frame times that a pulse can live on, and their mean rate in hertz.
@@ -83,6 +89,7 @@ impl Reference {
             confidence: times_seconds.iter().map(|&time| confidence(time, &peaks, &found)).collect(),
             phase: phase.phase_radians,
             inverted: found.inverted,
+            envelope: Envelope::default(),
         })
     }
 

@@ -15,6 +15,7 @@ use heartian_space::{Modulation, Progress, Skin};
 use crate::adam::{Adam, AdamF32, Schedule};
 use crate::error::{PulseError, check_length};
 use crate::fit::{FitReport, Watch};
+use crate::limit::Limited;
 use crate::losses::{LossWeights, WaveformTarget};
 use crate::numeric::{Random, mean};
 use crate::pulse::Pulse;
@@ -103,7 +104,7 @@ pub fn fit_residual(
     let count = (MOST_EVALUATIONS / pulse.len().max(1)).clamp(1, options.patches);
     let patches = Patches::new(&skin.positions, count);
     let render = renderer.map(|renderer| renderer.base_loss(&patches.patch_of, patches.len())).transpose()?;
-    let shape = pulse.waveform.evaluate(&pulse.theta);
+    let shape = pulse.shape();
     let training = Training {
         pulse,
         shape: &shape,
@@ -131,7 +132,7 @@ pub fn fit_residual(
 
 /// Evaluates the modulation and holds its strength: where the residual adds more than [`MOST_GROWTH`] to the rms of the
 /// fundamental (a recording that is mostly motion), A is lowered until it does not.
-fn finish(pulse: &mut Pulse, skin: &Skin, options: &ResidualOptions) -> Result<(Modulation, u64), PulseError> {
+fn finish(pulse: &mut Pulse, skin: &Skin, options: &ResidualOptions) -> Result<(Modulation, Limited), PulseError> {
     let first = evaluate_all(pulse, skin, &options.evaluation)?;
     let growth = deviation(&mean_offsets(&first.0)) / deviation(&pulse.fundamental).max(1e-12);
     if growth <= MOST_GROWTH {

@@ -9,6 +9,7 @@ mod detrend;
 mod error;
 mod filter;
 pub mod hilbert;
+pub mod hrv;
 pub mod methods;
 pub mod metrics;
 mod peaks;

@@ -6,6 +6,7 @@
 mod camera;
 mod clip;
 pub mod color;
+mod csv;
 mod error;
 mod image;
 mod metrics;
@@ -18,6 +19,7 @@ mod traces;
 
 pub use camera::Camera;
 pub use clip::{Clip, Sequence};
+pub use csv::{CsvError, CsvKind, read_csv};
 pub use error::SpaceError;
 pub use image::Rgb8Image;
 pub use metrics::Metrics;

@@ -1,5 +1,6 @@
 //! The nodes that write the heartbeat: phase and waveform, and the residual network.
 
+mod bound;
 mod mlp_residual;
 mod phase_model;
 

@@ -4,6 +4,8 @@ use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, re
 use heartian_pulse::{Pulse, ResidualOptions, fit_residual};
 use heartian_space::{AlbedoOperator, Metrics, Modulation, Skin};
 
+use crate::bound::bound_message;
+
 params! {
     /// Fits the residual network (10 phase harmonics, beat embedding, position encoder, two residual tanh blocks) on top of
     /// a frozen fundamental, and evaluates the modulation of every skin Gaussian at every frame.
@@ -20,7 +22,7 @@ register!(MlpResidual);
 
 impl Node for MlpResidual {
     const KIND: &'static str = "MlpResidual";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::one::<Pulse>("pulse", "The fitted fundamental; it stays as it is."),
         Port::one::<Skin>("skin", "The Gaussians to modulate."),
@@ -43,7 +45,12 @@ impl Node for MlpResidual {
         let (pulse, modulation) = fit_residual(&pulse, &skin, operator.as_deref().map(|o| o as _), &options, watch)?;
         let metrics = Metrics::new()
             .with("residual.waveform_pearson", pulse.report.full_pearson.unwrap_or(f64::NAN))
-            .with("residual.limited_offsets", pulse.report.limited as f64);
+            .with("residual.limited_offsets", pulse.report.limited.offsets as f64)
+            .with("residual.limited_frames", pulse.report.limited.frames as f64)
+            .with("residual.bound_levels", pulse.strength.most_levels);
+        if let Some(message) = bound_message(&pulse.report.limited, &pulse) {
+            context.warn(&message);
+        }
         Ok(Outputs::new().put("pulse", pulse).put("modulation", modulation).put("metrics", metrics))
     }
 }

@@ -59,7 +59,8 @@ impl Objective<'_> {
         if let Some(weak) = self.weak {
             losses.pos = circular_loss(&theta, &weak.theta, &weak.confidence, weights.pos, &mut to_theta);
         }
-        let (shape, waves) = variables.waveform.evaluate_kept(&theta);
+        let (mut shape, waves) = variables.waveform.evaluate_kept(&theta);
+        self.reference.envelope.apply(&mut shape);
         let waveform_loss = self.target.loss(&shape, weights)?;
         (losses.mse, losses.pearson) = (waveform_loss.mse, waveform_loss.pearson);
         let mut to_shape = waveform_loss.gradient;
@@ -76,6 +77,7 @@ impl Objective<'_> {
                 to_log_scale += to_offset * offset;
             }
         }
+        self.reference.envelope.scale(&mut to_shape);
         let mut waveform = variables.waveform.evaluate_vjp(&waves, &to_shape, &mut to_theta);
         losses.penalty = variables.waveform.penalty(&self.options.penalties, &mut waveform);
         let phase = variables.phase.theta_vjp(&to_theta);
@@ -95,7 +97,13 @@ mod tests {
     #[test]
     fn the_total_gradient_matches_finite_differences() {
         let times: Vec<f64> = (0..60).map(|t| f64::from(t) / 30.0).collect();
-        let reference = Prescription { heart_rate_bpm: 80.0, ..Prescription::default() }.reference(&times).unwrap();
+        let reference = Prescription {
+            heart_rate_bpm: 80.0,
+            breath_amplitude: 0.3,
+            breath_baseline: 0.2,
+            ..Prescription::default()
+        };
+        let reference = reference.reference(&times).unwrap();
         let target = WaveformTarget::new(&reference.waveform, 30.0).unwrap();
         let weak = WeakPhase {
             theta: reference.phase.iter().map(|p| wrap(p + 0.3)).collect(),
@@ -114,7 +122,7 @@ mod tests {
             render: Some(&render),
             options: &options,
         };
-        for parameterization in [Parameterization::Cumulative, Parameterization::Direct] {
+        for parameterization in [Parameterization::Cumulative, Parameterization::Direct, Parameterization::Anchored] {
             let start: Vec<f64> = reference.phase.iter().enumerate().map(|(t, p)| p + 0.2 + 0.01 * t as f64).collect();
             let variables = Variables {
                 phase: Phase::following(parameterization, &start),

@@ -8,7 +8,9 @@ use rayon::prelude::*;
 
 use heartian_space::{Modulation, Skin};
 
+use crate::arrival::Arrival;
 use crate::error::PulseError;
+use crate::limit::{Limit, Limited};
 use crate::numeric::Random;
 use crate::pulse::Pulse;
 use crate::residual::matrix::{Matrix, multiply};
@@ -42,43 +44,45 @@ const CHECKED_COLUMNS: usize = 24;
 /// Rows for each basis vector.
 const ROWS_PER_RANK: usize = 3;
 
-/// The modulation of all skin Gaussians, and how many offsets the bound on 8-bit levels limited.
+/// The modulation of all skin Gaussians, and where the bound on 8-bit levels acted. The skin's strength map scales
+/// fundamental and residual alike.
 ///
 /// # Errors
 /// When there is no skin.
-pub fn evaluate_all(pulse: &Pulse, skin: &Skin, evaluation: &Evaluation) -> Result<(Modulation, u64), PulseError> {
+pub fn evaluate_all(pulse: &Pulse, skin: &Skin, evaluation: &Evaluation) -> Result<(Modulation, Limited), PulseError> {
     if skin.gaussians.is_empty() {
         return Err(PulseError::NoSkin);
     }
     let Some(network) = &pulse.residual else {
-        return Ok((crate::pulse::modulation_from_fundamental(pulse, skin)?, 0));
+        return crate::pulse::modulation_from_fundamental(pulse, skin);
     };
     let frames = network.frames(&pulse.theta, &pulse.beat);
     let mut table = residual_table(network, &frames, pulse.len(), &skin.positions, evaluation);
     let count = skin.gaussians.len();
     let factor = (pulse.strength.scale * pulse.strength.residual_weight) as f32;
     let centre = if pulse.strength.level == 0.0 { vec![0.0; count] } else { column_means(&table, count) };
-    let most = pulse.most_offset() as f32;
-    let limited = table
+    let (arrival, limit) = (Arrival::new(pulse, skin), Limit::new(pulse.most_offset()));
+    let counts: Vec<u64> = table
         .par_chunks_mut(count)
-        .zip(&pulse.fundamental)
-        .map(|(row, &fundamental)| {
+        .enumerate()
+        .map(|(frame, row)| {
             let mut limited = 0;
-            for (value, centre) in row.iter_mut().zip(&centre) {
-                let offset = fundamental as f32 + factor * (*value - centre);
-                *value = offset.clamp(-most, most);
-                limited += u64::from(offset.abs() > most);
+            for (gaussian, (value, centre)) in row.iter_mut().zip(&centre).enumerate() {
+                let residual = arrival.strength(gaussian) * factor * (*value - centre);
+                let (offset, changed) = limit.apply(arrival.at(frame, gaussian) + residual);
+                *value = offset;
+                limited += u64::from(changed);
             }
             limited
         })
-        .sum();
+        .collect();
     let modulation = Modulation {
         gaussians: skin.gaussians.clone(),
         times_seconds: pulse.times_seconds.clone(),
         offsets: table,
         red_blue: skin.red_blue.clone(),
     };
-    Ok((modulation.checked()?, limited))
+    Ok((modulation.checked()?, Limited::from_counts(&counts)))
 }
 
 /// f for every frame and Gaussian, T×n.

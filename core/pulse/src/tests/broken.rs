@@ -112,7 +112,7 @@ fn one_skin_gaussian_works_and_none_is_a_clear_error() {
     let options = ResidualOptions { steps: 30, ..ResidualOptions::default() };
     let (_, one) = fit_residual(&pulse, &skin(1), None, &options, &mut onwards).unwrap();
     assert_eq!(one.offsets.len(), 150);
-    assert_eq!(modulation_from_fundamental(&pulse, &skin(1)).unwrap().offsets.len(), 150);
+    assert_eq!(modulation_from_fundamental(&pulse, &skin(1)).unwrap().0.offsets.len(), 150);
     let none = fit_residual(&pulse, &skin(0), None, &options, &mut onwards);
     assert!(matches!(none, Err(PulseError::NoSkin)));
     assert!(matches!(modulation_from_fundamental(&pulse, &skin(0)), Err(PulseError::NoSkin)));

@@ -117,7 +117,7 @@ fn a_pulse_survives_the_disk_with_and_without_residual() {
 #[test]
 fn a_modulation_without_residual_is_the_fundamental_everywhere() {
     let (pulse, _) = fit(&reference(4.0), &PhaseOptions { steps: 20, ..PhaseOptions::default() }).unwrap();
-    let modulation = modulation_from_fundamental(&pulse, &skin(7)).unwrap();
+    let (modulation, _) = modulation_from_fundamental(&pulse, &skin(7)).unwrap();
     for (t, value) in pulse.fundamental.iter().enumerate() {
         assert!(modulation.frame(t).iter().all(|offset| *offset == *value as f32));
     }

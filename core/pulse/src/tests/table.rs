@@ -117,7 +117,7 @@ fn seconds_against_error_of_the_residual_fit() {
                 "{name} | {steps} {width} {patches} | {seconds:.2} (eval {fast_seconds:.2}, exact {exact_seconds:.2}, apart {apart:.1e}) | {:.4} {:.4} | {} | {error:+.3} bpm | B {:.3}",
                 before.fundamental_pearson,
                 fitted.report.full_pearson.unwrap(),
-                fitted.report.limited,
+                fitted.report.limited.offsets,
                 fitted.strength.residual_weight
             );
         }
