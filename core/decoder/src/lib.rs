@@ -6,14 +6,23 @@
 //! the tensor. Results are the same at any number of threads.
 
 mod architecture;
+mod attention;
+pub mod bench;
 mod error;
 mod input;
+mod layer;
+mod nets;
 mod network;
+mod norm;
+mod parts;
 pub mod preprocess;
+#[cfg(test)]
+mod tests;
 mod weights;
 
 pub use architecture::Architecture;
 pub use error::DecoderError;
 pub use input::{Batch, InputForm, Normalisation, Output};
+pub use nets::factorizephys::standardised as standardised_batch;
 pub use network::{Factorisation, Network, Options, SegmentEdge};
 pub use weights::{Tensor, Weights};

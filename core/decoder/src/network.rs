@@ -2,6 +2,12 @@
 
 use std::path::Path;
 
+use crate::nets::Trace;
+use crate::nets::factorizephys::FactorizePhys;
+use crate::nets::physformer::PhysFormer;
+use crate::nets::physnet::PhysNet;
+use crate::nets::tscan::TsCan;
+use crate::parts::Parts;
 use crate::{Architecture, Batch, DecoderError, InputForm, Normalisation, Output, Weights};
 
 /// FactorizePhys' factorised attention at inference.
@@ -65,8 +71,16 @@ impl Default for Options {
 /// A network with its weights, ready to run; it may be shared between threads.
 #[derive(Debug)]
 pub struct Network {
-    architecture: Architecture,
+    net: Net,
     input: InputForm,
+}
+
+#[derive(Debug)]
+enum Net {
+    TsCan(Box<TsCan>),
+    PhysFormer(Box<PhysFormer>),
+    FactorizePhys(Box<FactorizePhys>),
+    PhysNet(PhysNet),
 }
 
 impl Network {
@@ -92,16 +106,28 @@ impl Network {
     /// When a tensor is missing, extra or misshapen, or an option does not fit.
     pub fn new(weights: &Weights, options: &Options) -> Result<Self, DecoderError> {
         let architecture = options.architecture.map_or_else(|| Architecture::of(weights), Ok)?;
-        Err(DecoderError::Option {
-            option: "architecture",
-            value: architecture.name().to_owned(),
-            reason: "this build cannot run it yet".to_owned(),
-        })
+        let parts = Parts::new(weights, architecture);
+        let (net, input) = match architecture {
+            Architecture::TsCan => TsCan::new(parts, options).map(|(net, input)| (Net::TsCan(Box::new(net)), input)),
+            Architecture::PhysFormer => {
+                PhysFormer::new(parts, options).map(|(net, input)| (Net::PhysFormer(Box::new(net)), input))
+            }
+            Architecture::FactorizePhys => {
+                FactorizePhys::new(parts, options).map(|(net, input)| (Net::FactorizePhys(Box::new(net)), input))
+            }
+            Architecture::PhysNet => PhysNet::new(parts, options).map(|(net, input)| (Net::PhysNet(net), input)),
+        }?;
+        Ok(Self { net, input })
     }
 
     /// Which network it is.
     pub fn architecture(&self) -> Architecture {
-        self.architecture
+        match self.net {
+            Net::TsCan(_) => Architecture::TsCan,
+            Net::PhysFormer(_) => Architecture::PhysFormer,
+            Net::FactorizePhys(_) => Architecture::FactorizePhys,
+            Net::PhysNet(_) => Architecture::PhysNet,
+        }
     }
 
     /// What it wants to be fed.
@@ -114,8 +140,26 @@ impl Network {
     /// # Errors
     /// When the batch has another form, or holds or leads to numbers that are not finite.
     pub fn run(&self, batch: Batch<'_>) -> Result<Vec<f32>, DecoderError> {
+        self.run_traced(&batch, &mut Trace::default())
+    }
+
+    /// As [`Self::run`], with inner values for tests.
+    pub(crate) fn run_traced(&self, batch: &Batch<'_>, trace: &mut Trace) -> Result<Vec<f32>, DecoderError> {
         batch.check(&self.input)?;
-        Ok(Vec::new())
+        let out = match &self.net {
+            Net::TsCan(net) => net.run(batch, &self.input, trace),
+            Net::PhysFormer(net) => net.run(batch, &self.input, trace),
+            Net::FactorizePhys(net) => net.run(batch, &self.input, trace),
+            Net::PhysNet(net) => net.run(batch, &self.input, trace),
+        }?;
+        match out.iter().position(|value| !value.is_finite()) {
+            Some(frame) => Err(DecoderError::OutputNotFinite {
+                architecture: self.architecture().name(),
+                frame,
+                value: out[frame],
+            }),
+            None => Ok(out),
+        }
     }
 }
 

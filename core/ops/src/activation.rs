@@ -46,6 +46,62 @@ dispatch!(
     pub fn logistic(values: &mut [f32]) = logistic_kernel
 );
 
+/// tanh by a rational function of odd degree 13 over even degree 6 on |x| ≤ 7.9, where f32's tanh is 1.
+#[inline(always)]
+fn tanh_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
+    const ODD: [f32; 7] =
+        [-2.760_768_5e-16, 2.000_188e-13, -8.604_672e-11, 5.122_297e-8, 1.485_722_35e-5, 6.372_619e-4, 4.893_524_6e-3];
+    const EVEN: [f32; 4] = [1.198_258_4e-6, 1.185_347_1e-4, 2.268_434_6e-3, 4.893_525e-3];
+    map_lanes::<L>(values, |lanes| {
+        lanes.map(|value| {
+            let x = value.clamp(-7.905_311, 7.905_311);
+            let square = x * x;
+            let odd = ODD.iter().skip(1).fold(ODD[0], |p, c| mul_add::<FMA>(p, square, *c));
+            let even = EVEN.iter().skip(1).fold(EVEN[0], |p, c| mul_add::<FMA>(p, square, *c));
+            x * odd / even
+        })
+    });
+}
+
+dispatch!(
+    /// Hyperbolic tangent in place; absolute error below 3e-7.
+    pub fn tanh(values: &mut [f32]) = tanh_kernel
+);
+
+#[inline(always)]
+fn elu_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
+    map_lanes::<L>(values, |x| {
+        let e = exp::<FMA, L>(x.map(|v| v.min(0.0)));
+        std::array::from_fn(|lane| if x[lane] > 0.0 { x[lane] } else { e[lane] - 1.0 })
+    });
+}
+
+dispatch!(
+    /// `x` where positive, `e^x − 1` elsewhere.
+    pub fn elu(values: &mut [f32]) = elu_kernel
+);
+
+#[inline(always)]
+fn softmax_kernel<const FMA: bool, const L: usize>(values: &mut [f32], scale: f32) {
+    let most = values.iter().fold(f32::NEG_INFINITY, |most, v| most.max(*v));
+    map_lanes::<L>(values, |x| exp::<FMA, L>(x.map(|v| (v - most) * scale)));
+    let mut lanes = [0.0f32; L];
+    let (blocks, tail) = values.as_chunks::<L>();
+    for block in blocks {
+        for lane in 0..L {
+            lanes[lane] += block[lane];
+        }
+    }
+    let sum: f64 = lanes.iter().chain(tail).map(|v| f64::from(*v)).sum();
+    let share = (1.0 / sum) as f32;
+    values.iter_mut().for_each(|v| *v *= share);
+}
+
+dispatch!(
+    /// `e^(scale·x)` over its sum, in place; `scale` ≥ 0.
+    pub fn softmax(values: &mut [f32], scale: f32) = softmax_kernel
+);
+
 #[inline(always)]
 fn hard_swish_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
     map_lanes::<L>(values, |x| x.map(|v| v * (v + 3.0).clamp(0.0, 6.0) * (1.0 / 6.0)));
@@ -97,6 +153,8 @@ mod tests {
     #[test]
     fn each_function_agrees_with_its_formula() {
         check(logistic, |x| 1.0 / (1.0 + (-x).exp()), 2e-7);
+        check(tanh, f64::tanh, 3e-7);
+        check(elu, |x| if x > 0.0 { x } else { x.exp() - 1.0 }, 2e-7);
         check(hard_swish, |x| x * (x + 3.0).clamp(0.0, 6.0) / 6.0, 2e-7);
         check(|v| clamp(v, 0.0, 6.0), |x| x.clamp(0.0, 6.0), 0.0);
         check(|v| prelu(v, &[0.25]), |x| if x > 0.0 { x } else { 0.25 * x }, 1e-7);
@@ -105,6 +163,25 @@ mod tests {
             |x| if x < -87.336 { (-87.336f64).exp() } else { x.min(88.0).exp() },
             3e-7,
         );
+    }
+
+    #[test]
+    fn softmax_is_a_distribution_however_large_its_arguments() {
+        let mut values: Vec<f32> = (0..37).map(|i| (i as f32 * 0.7).sin() * 300.0).collect();
+        let exact: Vec<f64> = values.iter().map(|v| ((f64::from(*v) - 300.0) / 3.0).exp()).collect();
+        let sum: f64 = exact.iter().sum();
+        softmax(&mut values, 1.0 / 3.0);
+        for (value, exact) in values.iter().zip(&exact) {
+            assert!((f64::from(*value) - exact / sum).abs() < 1e-5, "{value} {}", exact / sum);
+        }
+    }
+
+    #[test]
+    fn tanh_of_the_ends() {
+        let mut ends = [f32::INFINITY, f32::NEG_INFINITY, 0.0, 1e-30];
+        tanh(&mut ends);
+        assert!((ends[0] - 1.0).abs() < 1e-6 && (ends[1] + 1.0).abs() < 1e-6 && ends[2] == 0.0);
+        assert!((ends[3] - 1e-30).abs() < 1e-35);
     }
 
     #[test]

@@ -62,6 +62,23 @@ pub fn conv2d(
     Ok(())
 }
 
+/// `out[p, o] = bias[o] + Σ_k input[p, k]·weights[o, k]`: a dense layer over rows, or a product with a transposed matrix.
+///
+/// # Errors
+/// When a buffer's length contradicts `[rows, outputs, depth]`.
+pub fn linear(
+    input: &[f32],
+    filter: Filter<'_>,
+    out: &mut [f32],
+    [rows, outputs, depth]: [usize; 3],
+) -> Result<(), ShapeError> {
+    check("the input rows", rows * depth, input.len())?;
+    check("the output rows", rows * outputs, out.len())?;
+    filter.check(depth * outputs, outputs)?;
+    product(input, filter, out, [rows, outputs, depth]);
+    Ok(())
+}
+
 /// `out[p, o] = bias[o] + Σ_k unrolled[p, k]·weights[o, k]`; sizes `[pixels, channels, depth]` were checked by the caller.
 fn product(unrolled: &[f32], filter: Filter<'_>, out: &mut [f32], [pixels, channels, depth]: [usize; 3]) {
     if filter.bias.is_empty() {

@@ -1,0 +1,4 @@
+//! Tests of whole networks.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod golden;
