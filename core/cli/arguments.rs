@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::graph::GraphBench;
 use crate::sizes;
 
 /// Relightable Gaussian head avatars that carry a prescribed heartbeat, as one cached dataflow graph.
@@ -100,6 +101,12 @@ Examples:
         /// Address space in bytes; 0: any.
         memory: u64,
     },
+    /// Measure what Heartian promises, on data it makes itself
+    Bench {
+        /// What to measure
+        #[command(subcommand)]
+        bench: Bench,
+    },
     /// Fetch, list or verify the face models that real videos need
     Models {
         /// What to do with them.
@@ -123,6 +130,13 @@ pub enum PluginsAction {
         /// The library
         file: PathBuf,
     },
+}
+
+/// What to measure.
+#[derive(Subcommand)]
+pub enum Bench {
+    /// The engine: cached and cold runs of small and large graphs beside make, and what kills and damage cost
+    Graph(GraphBench),
 }
 
 /// What to do with the models.

@@ -6,6 +6,7 @@
 mod arguments;
 mod audit;
 mod avi;
+mod bench;
 mod cache;
 mod compare;
 mod deliver;
@@ -41,6 +42,7 @@ fn main() -> ExitCode {
         Command::PluginHost { library, digest, memory } => {
             return heartian_graph::serve_plugin(&library, &digest, memory);
         }
+        Command::Bench { bench } => bench::run(&bench),
         Command::Models { action } => models::act(action),
     };
     done.unwrap_or_else(|report| {

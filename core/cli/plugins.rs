@@ -32,6 +32,11 @@ fn arguments() -> &'static PluginArguments {
     ARGUMENTS.get_or_init(PluginArguments::default)
 }
 
+/// The files that the command line names.
+pub fn named_files() -> &'static [PathBuf] {
+    &arguments().files
+}
+
 /// All kinds of nodes, those of plugins included. A plugin that cannot be used is a warning, unless its file is named
 /// and not there.
 pub fn registry() -> Result<&'static Registry> {

@@ -20,9 +20,9 @@ const CHILD_SHRINK: f32 = 1.6;
 /// What happened to each Gaussian between two rounds.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Statistics {
-    gradient_sum: Vec<f32>,
-    frames: Vec<u32>,
-    most_pixels: Vec<f32>,
+    pub gradient_sum: Vec<f32>,
+    pub frames: Vec<u32>,
+    pub most_pixels: Vec<f32>,
 }
 
 impl Statistics {

@@ -12,6 +12,11 @@ use crate::canonical::{Canonical, GROUPS};
 /// A fit has a few thousand steps, so the second moment forgets sooner than usual; gradients are those of a picture's
 /// mean error and of order 1e-6, so the guard is smaller than usual.
 const ADAM: AdamOptions = AdamOptions { beta1: 0.9, beta2: 0.99, epsilon: 1e-10 };
+/// How every group moves.
+pub(crate) fn options() -> AdamOptions {
+    ADAM
+}
+
 /// Values handled by one task.
 const CHUNK: usize = 16 * 1024;
 
@@ -56,6 +61,16 @@ impl Optimiser {
     /// Moments of zero for the given parameters.
     pub fn new(parameters: &Canonical) -> Self {
         Self { groups: parameters.groups().map(|group| Adam::new(group.len(), ADAM)) }
+    }
+
+    /// From the moments of each group.
+    pub(crate) fn from_groups(groups: [Adam; GROUPS]) -> Self {
+        Self { groups }
+    }
+
+    /// The moments of each group.
+    pub(crate) fn groups(&self) -> &[Adam; GROUPS] {
+        &self.groups
     }
 
     /// One step down the gradient. Groups with rate 0 are left alone.

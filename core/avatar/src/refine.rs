@@ -106,6 +106,26 @@ impl Refiner {
         self.smooth(frame);
     }
 
+    /// All that steps change: offsets and both moments, one after the other and row by row, and the visits.
+    pub fn state_rows(&self) -> (Vec<f64>, &[i32]) {
+        let rows = [&self.offsets, &self.first, &self.second].into_iter().flatten();
+        (rows.flatten().copied().collect(), &self.visits)
+    }
+
+    /// Takes what [`Self::state_rows`] gave; refuses, unchanged, what is not of these frames.
+    pub fn restore(&mut self, rows: &[f64], visits: &[i32]) -> bool {
+        let width = self.offsets.first().map_or(0, Vec::len);
+        if visits.len() != self.visits.len() || rows.len() != 3 * width * visits.len() {
+            return false;
+        }
+        let parts = [&mut self.offsets, &mut self.first, &mut self.second].into_iter().flatten();
+        for (row, values) in parts.zip(rows.chunks_exact(width.max(1))) {
+            row.copy_from_slice(values);
+        }
+        self.visits.copy_from_slice(visits);
+        true
+    }
+
     fn rate(&self, index: usize) -> f64 {
         if index < POSE_SIZE { self.options.pose_rates[index / 3] } else { self.options.coefficient_rate }
     }

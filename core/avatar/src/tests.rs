@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use heartian_artifact::{Artifact, ArtifactError, BundleReader};
 use heartian_face::Track;
-use heartian_space::{Clip, Modulation, Progress, Sequence, Skin};
+use heartian_space::{Clip, Host, Modulation, Progress, Sequence, Skin};
 use heartian_splat::Environment;
 
 use crate::phantom;
@@ -55,6 +55,61 @@ fn the_same_fit_at_any_number_of_threads() -> Result<(), Box<dyn std::error::Err
     assert!(one.0 == three.0);
     let other = train(&clip, &track, &TrainOptions { seed: 2, ..options }, &mut onward)?;
     assert!(one.0 != other.0, "the seed matters");
+    Ok(())
+}
+
+/// Keeps every state, and asks to stop after some step.
+struct Stopper {
+    kept: Option<Vec<u8>>,
+    stop_after: u64,
+    first: Option<u64>,
+}
+
+impl Host for Stopper {
+    fn progress(&mut self, report: Progress) -> ControlFlow<()> {
+        self.first.get_or_insert(report.step);
+        if report.step == self.stop_after { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+    fn resume(&mut self) -> Option<Vec<u8>> {
+        self.kept.clone()
+    }
+    fn checkpoint(&mut self, state: &mut dyn FnMut() -> Option<Vec<u8>>) {
+        self.kept = state();
+    }
+}
+
+#[test]
+fn a_fit_stopped_anywhere_and_resumed_gives_the_same_bytes() -> Result<(), AvatarError> {
+    let (clip, track) = phantom::recording(48, 12);
+    let options = TrainOptions { steps: 60, gaussians: 400, ..quick() };
+    let whole = train(&clip, &track, &options, &mut onward)?;
+    // In the warm-up, before and after the light, between density rounds, near the end.
+    let mut host = Stopper { kept: None, stop_after: 0, first: None };
+    for stop_after in [1, 7, 17, 18, 19, 33, 59] {
+        let before = host.stop_after;
+        host = Stopper { stop_after, first: None, ..host };
+        assert!(matches!(train(&clip, &track, &options, &mut host), Err(AvatarError::Cancelled)));
+        assert_eq!(host.first, Some(before + 1), "it goes on where it was");
+    }
+    host.stop_after = 0;
+    assert!(train(&clip, &track, &options, &mut host)? == whole);
+    assert!(train(&clip, &track, &options, &mut host)? == whole, "a state of the end is a state too");
+    Ok(())
+}
+
+#[test]
+fn a_state_that_does_not_fit_is_ignored() -> Result<(), AvatarError> {
+    let (clip, track) = phantom::recording(48, 12);
+    let options = TrainOptions { steps: 20, gaussians: 400, ..quick() };
+    let whole = train(&clip, &track, &options, &mut onward)?;
+    let mut other = Stopper { kept: None, stop_after: 10, first: None };
+    let (short, short_track) = phantom::recording(48, 8);
+    assert!(train(&short, &short_track, &options, &mut other).is_err());
+    for kept in [other.kept, Some(Vec::new()), Some(b"no state at all".to_vec())] {
+        let mut host = Stopper { kept, stop_after: 0, first: None };
+        assert!(train(&clip, &track, &options, &mut host)? == whole);
+        assert_eq!(host.first, Some(1));
+    }
     Ok(())
 }
 
@@ -189,7 +244,7 @@ fn bad_input_has_one_clear_answer() {
     assert!(matches!(attempt(&clip, &track, &none), Err(AvatarError::Option { name: "gaussians", .. })));
     let (brief, brief_track) = phantom::recording(32, 3);
     assert!(matches!(attempt(&brief, &brief_track, &options), Err(AvatarError::TooLittle { .. })));
-    let stopped = train(&clip, &track, &options, &mut |_| ControlFlow::Break(()));
+    let stopped = train(&clip, &track, &options, &mut |_: Progress| ControlFlow::Break(()));
     assert!(matches!(stopped, Err(AvatarError::Cancelled)));
 }
 

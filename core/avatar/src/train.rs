@@ -7,14 +7,13 @@
 //! learned on training frames. The result is a pure function of clip, track and options, at any number of threads.
 
 mod appearance;
+mod checkpoint;
 mod schedule;
 mod targets;
 
-use std::ops::ControlFlow;
-
 use glam::{Quat, Vec3};
 use heartian_face::{HeadModel, Region, Track};
-use heartian_space::{Clip, Progress};
+use heartian_space::{Clip, Host, Progress};
 use heartian_splat::logit;
 
 use crate::AvatarError;
@@ -31,6 +30,7 @@ use crate::optimiser::Optimiser;
 use crate::refine::{RefineOptions, Refiner};
 use crate::surface::MeshView;
 use appearance::{Appearance, StepLoss};
+use checkpoint::Course;
 use schedule::{FrameOrder, Schedule};
 use targets::Level;
 
@@ -94,18 +94,17 @@ pub struct TrainReport {
 ///
 /// # Errors
 /// When clip and track do not belong together, there are too few frames, an option is out of range, a tracked pose is
-/// not finite, or `progress` breaks.
+/// not finite, or `host` breaks.
 pub fn train(
     clip: &Clip,
     track: &Track,
     options: &TrainOptions,
-    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+    host: &mut dyn Host,
 ) -> Result<(Avatar, TrainReport), AvatarError> {
     let training = check(clip, track, options)?;
     let head = track.baked_head();
     let mut fit = Fit::new(clip, track, &head, training, options)?;
-    let mut history = Vec::new();
-    let steps = fit.run(&mut history, progress)?;
+    let Course { step: steps, history, .. } = fit.run(host)?;
     let avatar = fit.finish();
     let held_out: Vec<usize> = (training..clip.len()).collect();
     let some: Vec<usize> = (0..training).step_by(training.div_ceil(20)).collect();
@@ -207,40 +206,43 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// Makes the steps; returns how many.
-    fn run(
-        &mut self,
-        history: &mut Vec<(u32, f64)>,
-        progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
-    ) -> Result<u32, AvatarError> {
+    /// Makes the steps, those already made by an earlier run of the same fit left out; returns where it ended.
+    fn run(&mut self, host: &mut dyn Host) -> Result<Course, AvatarError> {
         let schedule = Schedule::new(self.options.steps);
-        let mut order = FrameOrder::new(self.training, self.options.seed);
+        let order = FrameOrder::new(self.training, self.options.seed);
+        let start = Course { step: 0, order, live: [0.0; 2], history: Vec::new() };
+        let kept = host.resume().and_then(|state| checkpoint::restore(self, &state));
+        let mut course = kept.unwrap_or(start);
         let total = u64::from(schedule.steps());
-        let (mut live, mut weight) = (0.0, 0.0);
-        for step in 0..schedule.steps() {
+        while course.step < schedule.steps() && !self.is_settled(&schedule, &course) {
+            let step = course.step;
             if !schedule.is_warm_up(step) && self.appearance.is_unshaded() {
                 self.turn_on_the_light();
             }
             let level = Level::new(&self.track.camera, if schedule.is_warm_up(step) { 2 } else { 1 });
-            let squared = self.step(&schedule, step, order.draw(), &level)?.squared_error;
-            live = LIVE * live + (1.0 - LIVE) * squared;
-            weight = LIVE * weight + (1.0 - LIVE);
-            let psnr_db = -10.0 * (live / weight).max(1e-12).log10();
+            let squared = self.step(&schedule, step, course.order.draw(), &level)?.squared_error;
+            course.live = [LIVE * course.live[0] + (1.0 - LIVE) * squared, LIVE * course.live[1] + (1.0 - LIVE)];
+            let psnr_db = -10.0 * (course.live[0] / course.live[1]).max(1e-12).log10();
             if schedule.controls_density(step) {
                 self.control_density();
             }
-            if (step + 1) % (schedule.steps() / 100).max(1) == 0 {
-                history.push((step + 1, psnr_db));
+            course.step = step + 1;
+            if course.step.is_multiple_of((schedule.steps() / 100).max(1)) {
+                course.history.push((course.step, psnr_db));
             }
-            let report = Progress { step: u64::from(step) + 1, total, metric: Some(("psnr_db", psnr_db)) };
-            if progress(report).is_break() {
+            let report = Progress { step: u64::from(course.step), total, metric: Some(("psnr_db", psnr_db)) };
+            let stop = host.progress(report).is_break();
+            host.checkpoint(&mut || checkpoint::save(self, &course).ok());
+            if stop {
                 return Err(AvatarError::Cancelled);
             }
-            if schedule.may_stop(step) && plateaued(history, schedule.steps()) {
-                return Ok(step + 1);
-            }
         }
-        Ok(schedule.steps())
+        Ok(course)
+    }
+
+    /// Whether the fit gains no more after the last step made.
+    fn is_settled(&self, schedule: &Schedule, course: &Course) -> bool {
+        course.step > 0 && schedule.may_stop(course.step - 1) && plateaued(&course.history, schedule.steps())
     }
 
     /// One frame.

@@ -23,7 +23,7 @@ pub use csv::{CsvError, CsvKind, read_csv};
 pub use error::SpaceError;
 pub use image::Rgb8Image;
 pub use metrics::Metrics;
-pub use progress::Progress;
+pub use progress::{Host, Progress};
 pub use series::Series;
 pub use skin::{Modulation, Perfusion, Skin};
 pub use sparse::AlbedoOperator;

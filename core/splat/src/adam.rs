@@ -42,6 +42,21 @@ impl Adam {
         Self { options, first: vec![0.0; length], second: vec![0.0; length], steps: 0 }
     }
 
+    /// The optimiser that gave these [`Adam::moments`] and [`Adam::steps`]; nothing when the moments differ in length.
+    pub fn from_parts(options: AdamOptions, [first, second]: [Vec<f32>; 2], steps: u32) -> Option<Self> {
+        (first.len() == second.len()).then_some(Self { options, first, second, steps })
+    }
+
+    /// First and second moments.
+    pub fn moments(&self) -> [&[f32]; 2] {
+        [&self.first, &self.second]
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
     /// Number of parameters.
     pub fn len(&self) -> usize {
         self.first.len()

@@ -3,7 +3,9 @@
 use heartian_avatar::{Avatar, TrainOptions, train};
 use heartian_face::Track;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
-use heartian_space::{Clip, Metrics, Progress};
+use heartian_space::{Clip, Metrics};
+
+use crate::hosted::Hosted;
 
 params! {
     /// Fits Gaussians with albedo, roughness, reflectance and normals, their motion with the head, and the light, to the
@@ -36,8 +38,7 @@ impl Node for BaselineTrainer {
         let Self { gaussians, steps, expression_modes, held_out } = *self;
         let seed = context.seed();
         let options = TrainOptions { gaussians, steps, seed, expression_modes, held_out, ..TrainOptions::default() };
-        let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
-        let (avatar, report) = train(&clip, &track, &options, watch)?;
+        let (avatar, report) = train(&clip, &track, &options, &mut Hosted(context))?;
         let metrics = Metrics::new()
             .with("avatar.gaussians", report.gaussians as f64)
             .with("avatar.steps", f64::from(report.steps))

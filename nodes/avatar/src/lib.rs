@@ -1,6 +1,7 @@
 //! The nodes of the avatar: fitting it, finding its skin, rendering it under its own light and others.
 
 mod baseline_trainer;
+mod hosted;
 mod relighter;
 mod renderer;
 mod skin_selector;

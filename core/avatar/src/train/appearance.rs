@@ -19,6 +19,8 @@ use crate::picture::{Features, PictureGradient, Scene};
 const MASK_WEIGHT: f32 = 0.2;
 /// Rate of the light's coefficients at the start.
 const LIGHT_RATE: f32 = 3e-3;
+/// How the light moves.
+const LIGHT_ADAM: AdamOptions = AdamOptions { beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
 /// Pull of the light's bands 1 and higher to zero, per step and rate.
 const LIGHT_DECAY: f32 = 1e-3;
 
@@ -48,9 +50,21 @@ impl Appearance {
 
     /// Shading under a light that is fitted too.
     pub fn shaded(environment: Environment) -> Self {
-        let options = AdamOptions { beta2: 0.99, ..AdamOptions::default() };
-        let adam = Adam::new(3 * environment.radiance.len(), options);
+        let adam = Adam::new(3 * environment.radiance.len(), LIGHT_ADAM);
         Self { light: Some(Light { environment, adam }) }
+    }
+
+    /// Shading under a light on its way; nothing when the moments are not those of its coefficients.
+    pub fn from_state(environment: Environment, moments: [Vec<f32>; 2], steps: u32) -> Option<Self> {
+        let adam = Adam::from_parts(LIGHT_ADAM, moments, steps)?;
+        let fits = adam.len() == 3 * environment.radiance.len()
+            && environment.radiance.len() == Environment::default().radiance.len();
+        fits.then_some(Self { light: Some(Light { environment, adam }) })
+    }
+
+    /// The light and its moments, if there is one yet.
+    pub fn state(&self) -> Option<(&Environment, &Adam)> {
+        self.light.as_ref().map(|light| (&light.environment, &light.adam))
     }
 
     /// Whether there is no light yet.

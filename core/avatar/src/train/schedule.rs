@@ -71,6 +71,7 @@ impl Schedule {
 }
 
 /// Frames in random order without replacement, again and again; the same seed gives the same order.
+#[derive(Clone, Debug)]
 pub(crate) struct FrameOrder {
     frames: Vec<usize>,
     next: usize,
@@ -81,6 +82,33 @@ impl FrameOrder {
     /// Over frames `0..count`.
     pub fn new(count: usize, seed: u64) -> Self {
         Self { frames: (0..count).collect(), next: count, state: seed }
+    }
+
+    /// The order that gave these parts; nothing when it could not have.
+    pub fn from_state(frames: Vec<usize>, next: usize, state: u64) -> Option<Self> {
+        (next <= frames.len()).then_some(Self { frames, next, state })
+    }
+
+    /// Whether it is an order of frames `0..count`.
+    pub fn is_over(&self, count: usize) -> bool {
+        let mut sorted = self.frames.clone();
+        sorted.sort_unstable();
+        sorted.into_iter().eq(0..count)
+    }
+
+    /// The frames in the order of this round.
+    pub fn frames(&self) -> &[usize] {
+        &self.frames
+    }
+
+    /// Place of the next frame in this round.
+    pub fn next(&self) -> usize {
+        self.next
+    }
+
+    /// State of the random numbers.
+    pub fn state(&self) -> u64 {
+        self.state
     }
 
     /// The next frame.

@@ -1,0 +1,17 @@
+//! `heartian bench`: what Heartian promises, measured on data it makes itself. Timed figures are for reading, never for
+//! tests: a busy machine changes them.
+
+pub mod graph;
+
+use std::process::ExitCode;
+
+use miette::Result;
+
+use crate::arguments::Bench;
+
+/// Measures.
+pub fn run(bench: &Bench) -> Result<ExitCode> {
+    match bench {
+        Bench::Graph(arguments) => graph::run(arguments),
+    }
+}
