@@ -6,6 +6,8 @@ use std::process::{Command, Output};
 
 use heartian_graph::{Cache, Graph, Plan, Problem, Registry, Run};
 
+use crate::results::{files_below, statuses};
+
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -92,29 +94,6 @@ fn the_command_checks_and_prints_its_manual() {
             assert!(manual.contains(name), "{}.{name}", kind.kind);
         }
     }
-}
-
-/// `id:status` of each node, from a run's `metrics.json`.
-fn statuses(folder: &Path) -> String {
-    let metrics: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.join("metrics.json")).unwrap()).unwrap();
-    let word =
-        |node: &serde_json::Value| format!("{}:{}", node["id"].as_str().unwrap(), node["status"].as_str().unwrap());
-    metrics["nodes"].as_array().unwrap().iter().map(word).collect::<Vec<_>>().join(" ")
-}
-
-/// All files below a folder.
-fn files_below(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap().flatten() {
-            let path = entry.path();
-            if path.is_dir() { folders.push(path) } else { found.push(path) }
-        }
-    }
-    found.sort();
-    found
 }
 
 /// A short measurement: cold, cached, damaged and healed, with another parameter; results in one folder each.

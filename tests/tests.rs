@@ -5,6 +5,8 @@ mod graphs;
 mod house;
 mod laws;
 mod pipeline;
+mod plugins;
+mod results;
 
 // Linked for the nodes they register.
 use {heartian_nodes_avatar as _, heartian_nodes_capture as _, heartian_nodes_measure as _, heartian_nodes_pulse as _};

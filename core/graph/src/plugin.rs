@@ -7,6 +7,8 @@
 mod converse;
 mod description;
 mod frame;
+#[cfg(test)]
+mod fuzz;
 mod memory;
 mod native;
 mod node;

@@ -88,8 +88,10 @@ pub(crate) fn run(
         match frame.message {
             // Nodes write few outputs; an empty one counts too, so that their number is bounded.
             Message::Output { port, artifact } => {
-                left = left.saturating_sub(64);
-                events.output(&port, &artifact, Cow::Owned(frame.body));
+                left = left.checked_sub(64).ok_or_else(|| Broken::Rubbish("it writes too many outputs".to_owned()))?;
+                if !events.output(&port, &artifact, Cow::Owned(frame.body)) {
+                    return Err(Broken::Rubbish(format!("its output `{port}` is refused")));
+                }
             }
             Message::Progress { step, total, metric } => {
                 let metric = metric.as_ref().map(|(name, bits)| (name.as_str(), f64::from_bits(*bits)));

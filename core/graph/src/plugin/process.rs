@@ -22,7 +22,7 @@ use super::{HostCommand, PluginLimits};
 const LOAD_LIMIT: Duration = Duration::from_secs(10);
 /// How often the watchdog looks while a worker works.
 const LOOK: Duration = Duration::from_millis(25);
-/// How much of what a library printed is kept for the error.
+/// How much of what a library printed is kept for the error, of the start and of the end each.
 const LAST_WORDS: usize = 4096;
 /// How long to wait for the last words of a process that is gone.
 const LISTEN: Duration = Duration::from_millis(500);
@@ -203,7 +203,7 @@ impl Worker {
         let watchdog = guard.clone();
         std::thread::spawn(move || watchdog.keep_watch());
         let mut worker = Self { reader, writer, guard, last_words };
-        worker.watch(None, LOAD_LIMIT);
+        worker.watch(None, LOAD_LIMIT.min(limits.silence));
         let greeted = greet(&mut worker.reader);
         worker.rest();
         match greeted {
@@ -215,7 +215,7 @@ impl Worker {
 
     /// Asks the library what it is.
     pub fn describe(mut self, limits: &PluginLimits) -> Result<Vec<u8>, Trouble> {
-        self.watch(None, LOAD_LIMIT);
+        self.watch(None, LOAD_LIMIT.min(limits.silence));
         let spoken = describe(&mut self.reader, &mut self.writer);
         self.rest();
         spoken.unwrap_or_else(|broken| Err(self.end(broken, limits)))
@@ -270,24 +270,24 @@ impl Drop for Worker {
     }
 }
 
-/// The last of what a library prints.
+/// The start and the end of what a library prints.
 fn listen(mut from: impl Read) -> Vec<u8> {
     let (mut kept, mut buffer) = (Vec::new(), [0; 1024]);
     while let Ok(count @ 1..) = from.read(&mut buffer) {
         kept.extend_from_slice(&buffer[..count]);
-        let surplus = kept.len().saturating_sub(LAST_WORDS);
-        kept.drain(..surplus);
+        let surplus = kept.len().saturating_sub(2 * LAST_WORDS);
+        kept.drain(kept.len().min(LAST_WORDS)..kept.len().min(LAST_WORDS) + surplus);
     }
     kept
 }
 
-/// The line of a panic and the next, or the last three lines, as one.
+/// The line of the first panic and the next, or the last three lines, as one.
 fn printable(words: &[u8]) -> String {
     let text = String::from_utf8_lossy(words);
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    let panic = lines.iter().rposition(|line| line.contains("panicked at"));
+    let panic = lines.iter().position(|line| line.contains("panicked at"));
     let start = panic.unwrap_or(lines.len().saturating_sub(3));
-    let last: Vec<&str> = lines[start..].iter().take(3 - usize::from(panic.is_some())).copied().collect();
+    let last: Vec<&str> = lines[start..].iter().take(if panic.is_some() { 2 } else { 3 }).copied().collect();
     last.join(" / ").chars().filter(|c| !c.is_control()).take(400).collect()
 }
 
