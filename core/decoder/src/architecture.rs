@@ -37,23 +37,28 @@ impl Architecture {
         Self::ALL.into_iter().find(|architecture| plain(architecture.name()) == plain(name))
     }
 
-    /// The architecture whose first layer the weights hold.
+    /// The architecture that the names of the weights are those of.
     ///
     /// # Errors
-    /// When no architecture has such a tensor.
+    /// When no architecture has such tensors.
     pub fn of(weights: &Weights) -> Result<Self, DecoderError> {
-        Self::ALL.into_iter().find(|architecture| weights.contains(architecture.first_tensor())).ok_or_else(|| {
-            DecoderError::Unrecognised { tensors: weights.len(), first: weights.names().next().map(str::to_owned) }
+        let known =
+            |name: &str, architecture: &Self| architecture.prefixes().iter().any(|prefix| name.starts_with(prefix));
+        let found =
+            weights.names().find_map(|name| Self::ALL.into_iter().find(|architecture| known(name, architecture)));
+        found.ok_or_else(|| DecoderError::Unrecognised {
+            tensors: weights.len(),
+            first: weights.names().next().map(str::to_owned),
         })
     }
 
-    /// A tensor that only this architecture has.
-    pub(crate) fn first_tensor(self) -> &'static str {
+    /// How tensors begin that only this architecture has.
+    fn prefixes(self) -> &'static [&'static str] {
         match self {
-            Self::TsCan => "motion_conv1.weight",
-            Self::PhysFormer => "Stem0.0.weight",
-            Self::FactorizePhys => "rppg_feature_extractor.FeatureExtractor.0.conv_block_3d.0.weight",
-            Self::PhysNet => "ConvBlock1.0.weight",
+            Self::TsCan => &["motion_conv", "apperance_"],
+            Self::PhysFormer => &["Stem", "transformer"],
+            Self::FactorizePhys => &["rppg_"],
+            Self::PhysNet => &["ConvBlock1.", "ConvBlock2.", "ConvBlock3."],
         }
     }
 }

@@ -1,7 +1,7 @@
 //! PhysFormer's attention: queries and keys by temporal-difference convolutions, scores divided by a fixed sharpness.
 
 use heartian_ops::activation::softmax;
-use heartian_ops::{Convolution, Extent, Filter, Volume, linear};
+use heartian_ops::{Extent, Filter, PairedConvolution, Volume, linear};
 use rayon::prelude::*;
 
 use crate::nets::Trace;
@@ -36,8 +36,8 @@ impl Tokens {
 /// One attention layer.
 #[derive(Debug)]
 pub struct Attention {
-    query: Convolution,
-    key: Convolution,
+    query: PairedConvolution,
+    key: PairedConvolution,
     value: Affine,
     out: Affine,
     heads: usize,
@@ -59,7 +59,7 @@ impl Attention {
         let projection = |which: &str| {
             let affine = parts.affine(&format!("{name}.attn.proj_{which}.0.conv"), &[width, width, 3, 3, 3], false)?;
             let norm = parts.norm(&format!("{name}.attn.proj_{which}.1"), width)?;
-            temporal_difference(affine, options.theta).normed(&norm).convolution(width, [3; 3])
+            temporal_difference(affine, options.theta).normed(&norm).paired(width)
         };
         Ok(Self {
             query: projection("q")?,

@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
-use heartian_ops::Convolution;
+use heartian_ops::{Convolution, PairedConvolution};
 
 use crate::{Architecture, DecoderError, Weights};
 
@@ -119,5 +119,10 @@ impl Affine {
     /// Packs the layer as a convolution of `inputs` channels.
     pub fn convolution(&self, inputs: usize, kernel: [usize; 3]) -> Result<Convolution, DecoderError> {
         Ok(Convolution::new(&self.weights, &self.bias, [self.bias.len(), inputs], kernel)?)
+    }
+
+    /// Packs a layer of 3 × 3 × 3 windows for pairs of frames.
+    pub fn paired(&self, inputs: usize) -> Result<PairedConvolution, DecoderError> {
+        Ok(PairedConvolution::new(&self.weights, &self.bias, [self.bias.len(), inputs], [3, 3])?)
     }
 }

@@ -1,4 +1,6 @@
 //! Tests of whole networks.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+mod files;
 mod golden;
+mod input;

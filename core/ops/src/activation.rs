@@ -52,15 +52,14 @@ fn tanh_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
     const ODD: [f32; 7] =
         [-2.760_768_5e-16, 2.000_188e-13, -8.604_672e-11, 5.122_297e-8, 1.485_722_35e-5, 6.372_619e-4, 4.893_524_6e-3];
     const EVEN: [f32; 4] = [1.198_258_4e-6, 1.185_347_1e-4, 2.268_434_6e-3, 4.893_525e-3];
-    map_lanes::<L>(values, |lanes| {
-        lanes.map(|value| {
-            let x = value.clamp(-7.905_311, 7.905_311);
-            let square = x * x;
-            let odd = ODD.iter().skip(1).fold(ODD[0], |p, c| mul_add::<FMA>(p, square, *c));
-            let even = EVEN.iter().skip(1).fold(EVEN[0], |p, c| mul_add::<FMA>(p, square, *c));
-            x * odd / even
-        })
-    });
+    // A plain loop: the compiler fills the lanes here, but not through arrays of them.
+    for value in values {
+        let x = value.clamp(-7.905_311, 7.905_311);
+        let square = x * x;
+        let odd = ODD.iter().skip(1).fold(ODD[0], |p, c| mul_add::<FMA>(p, square, *c));
+        let even = EVEN.iter().skip(1).fold(EVEN[0], |p, c| mul_add::<FMA>(p, square, *c));
+        *value = x * odd / even;
+    }
 }
 
 dispatch!(
@@ -70,10 +69,10 @@ dispatch!(
 
 #[inline(always)]
 fn elu_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
-    map_lanes::<L>(values, |x| {
-        let e = exp::<FMA, L>(x.map(|v| v.min(0.0)));
-        std::array::from_fn(|lane| if x[lane] > 0.0 { x[lane] } else { e[lane] - 1.0 })
-    });
+    for value in values {
+        let below = exp::<FMA, 1>([value.min(0.0)])[0] - 1.0;
+        *value = if *value > 0.0 { *value } else { below };
+    }
 }
 
 dispatch!(

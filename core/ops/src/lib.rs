@@ -15,6 +15,6 @@ mod volume;
 
 pub use convolution::{Filter, conv2d, depthwise_conv2d, linear, transposed_conv2d};
 pub use map::{Map, MapMut, ShapeError, Window};
-pub use planar::{Convolution, Scratch, Strip, Windows};
+pub use planar::{Convolution, PairScratch, PairedConvolution, Scratch, Strip, Windows};
 pub use pooling::{Sampling, average_pool, max_pool, resize_bilinear};
 pub use volume::{Extent, FrameMut, Volume};

@@ -5,12 +5,16 @@
 //! into chunks so that a tile's inputs stay in the first-level cache while all output channels pass over them. A caller
 //! gets each finished strip while it is warm (activation, pooling). Sums run in the order of the taps, whatever the thread.
 
+mod paired;
+
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::{__m128, __m256, __m512, _mm256_loadu_ps, _mm256_storeu_ps};
 
 use crate::lanes::Lanes;
 use crate::map::check;
 use crate::{ShapeError, Volume, dispatch};
+
+pub use paired::{PairScratch, PairedConvolution};
 
 /// Output channels of a register tile.
 const ROWS: usize = 4;
@@ -65,6 +69,37 @@ impl Strip<'_> {
     /// Applies a function to all pixels (and to what lies between the rows).
     pub fn each(&mut self, function: impl FnOnce(&mut [f32])) {
         function(self.values);
+    }
+}
+
+/// Where a strip lies.
+#[derive(Clone, Copy)]
+struct Part {
+    first_row: usize,
+    rows: usize,
+    width: usize,
+    pitch: usize,
+    stride: usize,
+}
+
+/// Cuts a frame into strips.
+fn parts([height, width]: [usize; 2], pitch: usize) -> impl Iterator<Item = Part> {
+    let most = (STRIP_PX / pitch).max(2).next_multiple_of(2);
+    (0..height).step_by(most).map(move |first_row| {
+        let rows = most.min(height - first_row);
+        let stride = ((rows - 1) * pitch + width).next_multiple_of(GROUPS * MOST_LANES);
+        Part { first_row, rows, width, pitch, stride }
+    })
+}
+
+impl Part {
+    fn len(&self) -> usize {
+        (self.rows - 1) * self.pitch + self.width
+    }
+
+    fn strip<'s>(&self, outputs: usize, sums: &'s mut [f32]) -> Strip<'s> {
+        let Self { first_row, rows, width, pitch, stride } = *self;
+        Strip { first_row, rows, width, pitch, stride, values: &mut sums[..outputs * stride] }
     }
 }
 
@@ -134,24 +169,21 @@ impl Convolution {
         scratch: &mut Scratch,
         mut sink: impl FnMut(&mut Strip<'_>),
     ) -> Result<(), ShapeError> {
-        let [height, width] = windows.output;
         self.check(input, windows)?;
         scratch.locate(self, input, windows);
-        let pitch = input.pitch();
-        let rows_per_strip = (STRIP_PX / pitch).max(2).next_multiple_of(2);
-        let mut first_row = 0;
-        while first_row < height {
-            let rows = rows_per_strip.min(height - first_row);
-            let len = (rows - 1) * pitch + width;
-            let stride = len.next_multiple_of(GROUPS * MOST_LANES);
-            scratch.sums.resize(self.bias.len() * stride, 0.0);
-            let job = Job { input: input.raw(), first: first_row * pitch, stride, len, chunks: &scratch.chunks };
-            strip(self, &job, &scratch.offsets, &mut scratch.sums);
-            let values = &mut scratch.sums[..self.outputs * stride];
-            sink(&mut Strip { first_row, rows, width, pitch, stride, values });
-            first_row += rows;
+        for part in parts(windows.output, input.pitch()) {
+            sink(&mut part.strip(self.outputs, self.sum(input, &part, scratch)));
         }
         Ok(())
+    }
+
+    /// The sums of one strip of the frame that `scratch` has located.
+    fn sum<'s>(&self, input: &Volume, part: &Part, scratch: &'s mut Scratch) -> &'s mut [f32] {
+        scratch.sums.resize(self.bias.len() * part.stride, 0.0);
+        let first = part.first_row * part.pitch;
+        let job = Job { input: input.raw(), first, stride: part.stride, len: part.len(), chunks: &scratch.chunks };
+        strip(self, &job, &scratch.offsets, &mut scratch.sums);
+        &mut scratch.sums
     }
 
     fn check<F>(&self, input: &Volume, windows: &Windows<F>) -> Result<(), ShapeError> {

@@ -115,6 +115,18 @@ impl Volume {
         &self.data
     }
 
+    /// All planes of a frame with their margins, if there is such a frame.
+    pub(crate) fn raw_frame(&self, frame: usize) -> Option<&[f32]> {
+        let len = self.frame_len();
+        (frame < self.extent.frames).then(|| &self.data[frame * len..(frame + 1) * len])
+    }
+
+    /// As [`Self::raw_frame`], to write into; margins must stay zero.
+    pub(crate) fn raw_frame_mut(&mut self, frame: usize) -> &mut [f32] {
+        let len = self.frame_len();
+        &mut self.data[frame * len..(frame + 1) * len]
+    }
+
     /// The pixels of a row.
     pub fn row(&self, frame: usize, channel: usize, y: usize) -> &[f32] {
         let start = self.origin(frame, channel) + y * self.pitch();

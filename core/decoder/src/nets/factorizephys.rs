@@ -4,7 +4,7 @@
 //! Minima are taken over the whole batch, as in the reference, so with FSAM on a result depends on what it is batched with.
 
 use heartian_ops::activation::tanh;
-use heartian_ops::{Convolution, Extent, Volume};
+use heartian_ops::{Convolution, Extent, PairedConvolution, Volume};
 use rayon::prelude::*;
 
 use super::{Trace, chunk_volume};
@@ -32,7 +32,7 @@ const NMF_EPSILON: f64 = 1e-6;
 /// One convolution, tanh, instance norm.
 #[derive(Debug)]
 struct Block {
-    convolution: Convolution,
+    convolution: PairedConvolution,
     halves: bool,
     padding: [usize; 2],
 }
@@ -65,16 +65,16 @@ impl Block {
         let affine = parts.affine(&format!("{name}.conv_block_3d.0"), &[outputs, inputs, 3, 3, 3], false)?;
         let convolution = if halves {
             let by_phase = by_phase(&affine.weights, inputs, outputs);
-            Convolution::new(&by_phase, &[], [outputs, 4 * inputs], [3, 2, 2])?
+            PairedConvolution::new(&by_phase, &[], [outputs, 4 * inputs], [2, 2])?
         } else {
-            affine.convolution(inputs, [3; 3])?
+            affine.paired(inputs)?
         };
         Ok(Self { convolution, halves, padding })
     }
 
     fn run(&self, input: &Volume) -> Result<Volume, DecoderError> {
-        let (convolution, padding) = (&self.convolution, self.padding);
-        let layer = Layer { convolution, padding, activation: tanh, pool: Pool::Keep, margin: 0 };
+        let (kernel, padding) = ((&self.convolution).into(), self.padding);
+        let layer = Layer { kernel, padding, activation: tanh, pool: Pool::Keep, margin: 0 };
         let mut out = if self.halves { layer.run(&phases(input))? } else { layer.run(input)? };
         instance_norm(&mut out);
         Ok(out)
@@ -130,8 +130,8 @@ impl FactorizePhys {
             for block in &self.finals {
                 x = block.run(&x)?;
             }
-            let (convolution, padding) = (&self.last, [1, 0]);
-            let last = Layer { convolution, padding, activation: identity, pool: Pool::Keep, margin: 0 };
+            let (kernel, padding) = ((&self.last).into(), [1, 0]);
+            let last = Layer { kernel, padding, activation: identity, pool: Pool::Keep, margin: 0 };
             out.extend(last.run(&x)?.to_dense());
         }
         Ok(out)
@@ -195,7 +195,7 @@ impl Attention {
 }
 
 fn pointwise(convolution: &Convolution, activation: fn(&mut [f32]), input: &Volume) -> Result<Volume, DecoderError> {
-    Layer { convolution, padding: [0, 0], activation, pool: Pool::Keep, margin: 0 }.run(input)
+    Layer { kernel: convolution.into(), padding: [0, 0], activation, pool: Pool::Keep, margin: 0 }.run(input)
 }
 
 /// Smallest value of several volumes.

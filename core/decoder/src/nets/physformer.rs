@@ -2,12 +2,12 @@
 //! and keys are temporal-difference convolutions, and a head that doubles time twice.
 
 use heartian_ops::activation::elu;
-use heartian_ops::{Convolution, Extent, Filter, Volume, linear};
+use heartian_ops::{Convolution, Extent, Filter, PairedConvolution, Volume, linear};
 use rayon::prelude::*;
 
 use super::{Trace, chunk_volume};
 use crate::attention::{Attention, Tokens};
-use crate::layer::{Layer, Pool, identity, plane_means, relu};
+use crate::layer::{Kernel, Layer, Pool, identity, plane_means, relu, run_from};
 use crate::norm::layer_norm;
 use crate::parts::{Affine, Parts};
 use crate::{Architecture, Batch, DecoderError, InputForm, Options};
@@ -32,7 +32,8 @@ struct Block {
 /// The network, batch norms and temporal differences folded.
 #[derive(Debug)]
 pub struct PhysFormer {
-    stems: Vec<Convolution>,
+    first: Convolution,
+    stems: [PairedConvolution; 2],
     patch: Affine,
     transformers: Vec<Vec<Block>>,
     doublings: [Convolution; 2],
@@ -44,13 +45,13 @@ impl PhysFormer {
     pub fn new(parts: Parts<'_>, options: &Options) -> Result<(Self, InputForm), DecoderError> {
         let width = *parts.shape("Stem2.0.bias")?.first().unwrap_or(&0);
         check_options(options, width)?;
-        let plan = [(3, width / 4, [1, 5, 5]), (width / 4, width / 2, [3; 3]), (width / 2, width, [3; 3])];
-        let mut stems = Vec::new();
-        for (index, (inputs, outputs, kernel)) in plan.into_iter().enumerate() {
-            let [kt, ky, kx] = kernel;
-            let affine = parts.affine(&format!("Stem{index}.0"), &[outputs, inputs, kt, ky, kx], true)?;
-            stems.push(affine.normed(&parts.norm(&format!("Stem{index}.1"), outputs)?).convolution(inputs, kernel)?);
-        }
+        let stem = |index: usize, inputs: usize, outputs: usize, [kt, k]: [usize; 2]| -> Result<Affine, DecoderError> {
+            let affine = parts.affine(&format!("Stem{index}.0"), &[outputs, inputs, kt, k, k], true)?;
+            Ok(affine.normed(&parts.norm(&format!("Stem{index}.1"), outputs)?))
+        };
+        let first = stem(0, 3, width / 4, [1, 5])?.convolution(3, [1, 5, 5])?;
+        let second = stem(1, width / 4, width / 2, [3, 3])?.paired(width / 4)?;
+        let stems = [second, stem(2, width / 2, width, [3, 3])?.paired(width / 2)?];
         let patch = parts.affine("patch_embedding", &[width, width, PATCH, PATCH, PATCH], true)?;
         let mut transformers = Vec::new();
         for index in 1..=3 {
@@ -68,7 +69,7 @@ impl PhysFormer {
         let doublings = [doubling("upsample", width)?, doubling("upsample2", width / 2)?];
         let last = parts.affine("ConvBlockLast", &[1, width / 2, 1], true)?;
         parts.finish(|_| false)?;
-        Ok((Self { stems, patch, transformers, doublings, last }, Architecture::PhysFormer.usual_input()))
+        Ok((Self { first, stems, patch, transformers, doublings, last }, Architecture::PhysFormer.usual_input()))
     }
 
     /// All chunks of a checked batch.
@@ -81,9 +82,12 @@ impl PhysFormer {
     }
 
     fn chunk(&self, mut x: Volume, trace: &mut Trace) -> Result<Vec<f32>, DecoderError> {
-        for (index, convolution) in self.stems.iter().enumerate() {
-            let padding = if index == 0 { [0, 2] } else { [1, 1] };
-            x = Layer { convolution, padding, activation: relu, pool: Pool::Max, margin: 1 }.run(&x)?;
+        let stem = |kernel: Kernel<'_>, padding, x: &Volume| {
+            Layer { kernel, padding, activation: relu, pool: Pool::Max, margin: 1 }.run(x)
+        };
+        x = stem((&self.first).into(), [0, 2], &x)?;
+        for convolution in &self.stems {
+            x = stem(convolution.into(), [1, 1], &x)?;
         }
         let mut tokens = self.tokens(&x)?;
         for (index, blocks) in self.transformers.iter().enumerate() {
@@ -95,9 +99,11 @@ impl PhysFormer {
         let mut x = tokens.to_volume(0)?;
         for convolution in &self.doublings {
             let doubled = 2 * x.extent().frames;
-            let layer = Layer { convolution, padding: [1, 0], activation: elu, pool: Pool::Keep, margin: 0 };
+            let kernel = convolution.into();
+            let layer = Layer { kernel, padding: [1, 0], activation: elu, pool: Pool::Keep, margin: 0 };
             // Every frame is seen twice; beyond the ends is zero.
-            x = layer.run_from(&x, doubled, |t, k| (t + k).checked_sub(1).filter(|s| *s < doubled).map(|s| s / 2))?;
+            let source = |t: usize, k: usize| (t + k).checked_sub(1).filter(|s| *s < doubled).map(|s| s / 2);
+            x = run_from(&layer, convolution, &x, doubled, source)?;
         }
         let means = plane_means(&x);
         let mut out = vec![0.0; x.extent().frames];
@@ -236,6 +242,6 @@ fn add(values: &mut [f32], change: &[f32]) {
 }
 
 /// No activation is applied to queries, keys and values.
-pub fn project(convolution: &Convolution, tokens: &Volume) -> Result<Volume, DecoderError> {
-    Layer { convolution, padding: [1, 1], activation: identity, pool: Pool::Keep, margin: 0 }.run(tokens)
+pub fn project(convolution: &PairedConvolution, tokens: &Volume) -> Result<Volume, DecoderError> {
+    Layer { kernel: convolution.into(), padding: [1, 1], activation: identity, pool: Pool::Keep, margin: 0 }.run(tokens)
 }

@@ -1,32 +1,32 @@
 //! PhysNet (Yu, Li, Zhao 2019): three-dimensional convolutions down to 4 × 4, transposed convolutions back up in time.
 
 use heartian_ops::activation::elu;
-use heartian_ops::{Convolution, Volume};
+use heartian_ops::{Convolution, PairedConvolution, Volume};
 
 use super::{Trace, chunk_volume};
-use crate::layer::{Layer, Pool, max_pool, plane_means, relu};
+use crate::layer::{Kernel, Layer, Pool, max_pool, plane_means, relu, run_from};
 use crate::parts::{Affine, Parts};
 use crate::{Architecture, Batch, DecoderError, InputForm, Options};
 
 /// Channels of the inner layers.
 const WIDTH: usize = 64;
-/// Name, inputs, outputs, kernel, padding of the convolutions in order.
-const BLOCKS: [(usize, usize, [usize; 3], [usize; 2]); 9] = [
-    (3, 16, [1, 5, 5], [0, 2]),
-    (16, 32, [3; 3], [1, 1]),
-    (32, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
-    (WIDTH, WIDTH, [3; 3], [1, 1]),
+/// Inputs and outputs of the convolutions of 3 × 3 × 3, in order.
+const BLOCKS: [(usize, usize); 8] = [
+    (16, 32),
+    (32, WIDTH),
+    (WIDTH, WIDTH),
+    (WIDTH, WIDTH),
+    (WIDTH, WIDTH),
+    (WIDTH, WIDTH),
+    (WIDTH, WIDTH),
+    (WIDTH, WIDTH),
 ];
 
 /// The network, batch norms folded.
 #[derive(Debug)]
 pub struct PhysNet {
-    blocks: Vec<Convolution>,
+    first: Convolution,
+    blocks: Vec<PairedConvolution>,
     /// Two times: the even and the odd frames of a doubling.
     doublings: Vec<[Convolution; 2]>,
     last_weights: Vec<f32>,
@@ -45,19 +45,19 @@ impl PhysNet {
                 reason: "PhysNet halves a frame four times and takes 16 to 1024 pixels".to_owned(),
             });
         }
+        let first = parts.affine("ConvBlock1.0", &[16, 3, 1, 5, 5], true)?.normed(&parts.norm("ConvBlock1.1", 16)?);
+        let first = first.convolution(3, [1, 5, 5])?;
         let mut blocks = Vec::new();
-        for (index, (inputs, outputs, kernel, _)) in BLOCKS.into_iter().enumerate() {
-            let name = format!("ConvBlock{}", index + 1);
-            let [kt, ky, kx] = kernel;
-            let affine = parts.affine(&format!("{name}.0"), &[outputs, inputs, kt, ky, kx], true)?;
-            let norm = parts.norm(&format!("{name}.1"), outputs)?;
-            blocks.push(affine.normed(&norm).convolution(inputs, kernel)?);
+        for (index, (inputs, outputs)) in BLOCKS.into_iter().enumerate() {
+            let name = format!("ConvBlock{}", index + 2);
+            let affine = parts.affine(&format!("{name}.0"), &[outputs, inputs, 3, 3, 3], true)?;
+            blocks.push(affine.normed(&parts.norm(&format!("{name}.1"), outputs)?).paired(inputs)?);
         }
         let doublings =
             ["upsample", "upsample2"].into_iter().map(|name| doubling(&parts, name)).collect::<Result<_, _>>()?;
         let last = parts.affine("ConvBlock10", &[1, WIDTH, 1, 1, 1], true)?;
         parts.finish(|_| false)?;
-        Ok((Self { blocks, doublings, last_weights: last.weights, last_bias: last.bias[0] }, input))
+        Ok((Self { first, blocks, doublings, last_weights: last.weights, last_bias: last.bias[0] }, input))
     }
 
     /// All chunks of a checked batch.
@@ -72,21 +72,21 @@ impl PhysNet {
     }
 
     fn chunk(&self, frames: Volume, trace: &mut Trace) -> Result<Vec<f32>, DecoderError> {
-        let block = |index: usize, input: &Volume, pool| {
-            let (_, _, _, padding) = BLOCKS[index];
-            Layer { convolution: &self.blocks[index], padding, activation: relu, pool, margin: 1 }.run(input)
+        let layer = |kernel: Kernel<'_>, padding, input: &Volume, pool| {
+            Layer { kernel, padding, activation: relu, pool, margin: 1 }.run(input)
         };
-        let x = block(0, &frames, Pool::Max)?;
+        let block = |index: usize, input: &Volume, pool| layer((&self.blocks[index]).into(), [1, 1], input, pool);
+        let x = layer((&self.first).into(), [0, 2], &frames, Pool::Max)?;
         drop(frames);
-        let x = block(1, &x, Pool::Keep)?;
-        let x = max_pool(&block(2, &x, Pool::Max)?, 2, 1, 1);
-        let x = block(3, &x, Pool::Keep)?;
-        let x = max_pool(&block(4, &x, Pool::Max)?, 2, 1, 1);
+        let x = block(0, &x, Pool::Keep)?;
+        let x = max_pool(&block(1, &x, Pool::Max)?, 2, 1, 1);
+        let x = block(2, &x, Pool::Keep)?;
+        let x = max_pool(&block(3, &x, Pool::Max)?, 2, 1, 1);
+        let x = block(4, &x, Pool::Keep)?;
         let x = block(5, &x, Pool::Keep)?;
-        let x = block(6, &x, Pool::Keep)?;
         trace.note(|| "tap_x1616".to_owned(), || x.to_dense());
-        let x = block(7, &max_pool(&x, 1, 2, 1), Pool::Keep)?;
-        let mut x = block(8, &x, Pool::Keep)?;
+        let x = block(6, &max_pool(&x, 1, 2, 1), Pool::Keep)?;
+        let mut x = block(7, &x, Pool::Keep)?;
         for pair in &self.doublings {
             x = doubled(pair, &x)?;
         }
@@ -119,8 +119,11 @@ fn doubling(parts: &Parts<'_>, name: &str) -> Result<[Convolution; 2], DecoderEr
 
 fn doubled(pair: &[Convolution; 2], input: &Volume) -> Result<Volume, DecoderError> {
     let frames = input.extent().frames;
-    let layer = |convolution| Layer { convolution, padding: [0, 0], activation: elu, pool: Pool::Keep, margin: 0 };
-    let even = layer(&pair[0]).run_from(input, frames, |t, k| (t + k).checked_sub(1))?;
-    let odd = layer(&pair[1]).run_from(input, frames, |t, k| Some(t + k))?;
+    let phase = |convolution: &Convolution, delay: usize| {
+        let kernel = convolution.into();
+        let layer = Layer { kernel, padding: [0, 0], activation: elu, pool: Pool::Keep, margin: 0 };
+        run_from(&layer, convolution, input, frames, |t, k| (t + k).checked_sub(delay))
+    };
+    let (even, odd) = (phase(&pair[0], 1)?, phase(&pair[1], 0)?);
     Ok(Volume::interleaved(&even, &odd))
 }

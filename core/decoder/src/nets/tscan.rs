@@ -147,8 +147,13 @@ impl TsCan {
         let side = extent.height - 2;
         let pooled = Extent { height: side / 2, width: side / 2, ..wide };
 
-        let first =
-            Layer { convolution: &stage.appearance[0], padding: [0, 1], activation: tanh, pool: Pool::Keep, margin: 0 };
+        let first = Layer {
+            kernel: (&stage.appearance[0]).into(),
+            padding: [0, 1],
+            activation: tanh,
+            pool: Pool::Keep,
+            margin: 0,
+        };
         let inner = first.run(appearance)?;
         let mut gates = vec![0.0f32; extent.frames * side * side];
         let mut seen = Volume::zeros(pooled, 1);

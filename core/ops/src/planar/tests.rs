@@ -108,3 +108,35 @@ fn windows_that_leave_the_margin_are_refused() {
     assert!(Convolution::new(&[1.0; 17], &[], [1, 2], [1, 3, 3]).is_err());
     assert!(Convolution::new(&[1.0; 18], &[0.0; 2], [1, 2], [1, 3, 3]).is_err());
 }
+
+#[test]
+fn pairs_of_frames_give_the_sums_of_single_ones() {
+    for (frames, channels, outputs, side) in [(5, 3, 6, 9), (2, 20, 4, 24), (1, 2, 1, 3)] {
+        let extent = Extent { frames, channels, height: side, width: side + 1 };
+        let (dense, bias) = (numbers(extent.values(), 5), numbers(outputs, 6));
+        let weights = numbers(outputs * channels * 27, 7);
+        let volume = Volume::from_dense(extent, 1, &dense, false).unwrap();
+        let paired = PairedConvolution::new(&weights, &bias, [outputs, channels], [3, 3]).unwrap();
+        let case = Case { extent, outputs, kernel: [3, 3, 3], pad: [1, 1], margin: 1 };
+        let (mut scratch, mut seen) = (PairScratch::default(), 0);
+        for pair in 0..frames.div_ceil(2) {
+            let sink = |which: usize, strip: &mut Strip<'_>| {
+                let t = 2 * pair + which;
+                let source = move |_: usize, k: usize| (t + k).checked_sub(1);
+                let rows = strip.rows;
+                for (o, r) in (0..outputs * rows).map(|i| (i / rows, i % rows)) {
+                    let y = strip.first_row + r;
+                    for (x, got) in strip.row(o, r).iter().enumerate() {
+                        let want = exact(&case, &dense, &weights, [o, t, y, x], &source) + f64::from(bias[o]);
+                        assert!((f64::from(*got) - want).abs() < 1e-4, "{:?} {got} {want}", [o, t, y, x]);
+                        seen += 1;
+                    }
+                }
+            };
+            let size = [[1, 1], [side, side + 1]];
+            paired.pair(&volume, 2 * pair as isize - 1, size, &mut scratch, sink).unwrap();
+        }
+        assert_eq!(seen, outputs * frames.next_multiple_of(2) * side * (side + 1));
+    }
+    assert!(PairedConvolution::new(&[0.0; 26], &[], [1, 1], [3, 3]).is_err());
+}
