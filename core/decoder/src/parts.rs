@@ -125,4 +125,9 @@ impl Affine {
     pub fn paired(&self, inputs: usize) -> Result<PairedConvolution, DecoderError> {
         Ok(PairedConvolution::new(&self.weights, &self.bias, [self.bias.len(), inputs], [3, 3])?)
     }
+
+    /// Packs a layer of 3 × 3 windows for pairs of rows.
+    pub fn paired_rows(&self, inputs: usize) -> Result<PairedConvolution, DecoderError> {
+        Ok(PairedConvolution::new(&self.weights, &self.bias, [self.bias.len(), inputs], [1, 3])?)
+    }
 }

@@ -51,24 +51,43 @@ pub struct Strip<'a> {
     pitch: usize,
     stride: usize,
     values: &'a mut [f32],
+    /// The odd rows, where they are kept apart; `values` then holds the even ones.
+    odd: Option<&'a mut [f32]>,
 }
 
 impl Strip<'_> {
-    /// The pixels of a row of the strip.
-    pub fn row(&mut self, channel: usize, row: usize) -> &mut [f32] {
+    fn range(&self, channel: usize, row: usize) -> std::ops::Range<usize> {
         let start = channel * self.stride + row * self.pitch;
-        &mut self.values[start..start + self.width]
+        start..start + self.width
     }
 
-    /// Two neighbouring rows.
+    /// The pixels of a row of the strip.
+    pub fn row(&mut self, channel: usize, row: usize) -> &mut [f32] {
+        let apart = self.odd.is_some();
+        let range = self.range(channel, if apart { row / 2 } else { row });
+        match &mut self.odd {
+            Some(odd) if row % 2 == 1 => &mut odd[range],
+            _ => &mut self.values[range],
+        }
+    }
+
+    /// An even row and the one below it.
     pub fn two_rows(&self, channel: usize, row: usize) -> (&[f32], &[f32]) {
-        let start = channel * self.stride + row * self.pitch;
-        (&self.values[start..start + self.width], &self.values[start + self.pitch..start + self.pitch + self.width])
+        match &self.odd {
+            Some(odd) => {
+                let range = self.range(channel, row / 2);
+                (&self.values[range.clone()], &odd[range])
+            }
+            None => (&self.values[self.range(channel, row)], &self.values[self.range(channel, row + 1)]),
+        }
     }
 
     /// Applies a function to all pixels (and to what lies between the rows).
-    pub fn each(&mut self, function: impl FnOnce(&mut [f32])) {
+    pub fn each(&mut self, function: impl Fn(&mut [f32])) {
         function(self.values);
+        if let Some(odd) = &mut self.odd {
+            function(odd);
+        }
     }
 }
 
@@ -99,7 +118,7 @@ impl Part {
 
     fn strip<'s>(&self, outputs: usize, sums: &'s mut [f32]) -> Strip<'s> {
         let Self { first_row, rows, width, pitch, stride } = *self;
-        Strip { first_row, rows, width, pitch, stride, values: &mut sums[..outputs * stride] }
+        Strip { first_row, rows, width, pitch, stride, values: &mut sums[..outputs * stride], odd: None }
     }
 }
 

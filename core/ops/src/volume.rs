@@ -133,6 +133,12 @@ impl Volume {
         &self.data[start..start + self.extent.width]
     }
 
+    /// The pixels of a row, to write into.
+    pub fn row_mut(&mut self, frame: usize, channel: usize, y: usize) -> &mut [f32] {
+        let start = self.origin(frame, channel) + y * self.pitch();
+        &mut self.data[start..start + self.extent.width]
+    }
+
     /// A frame's planes to write into; frames may be written in parallel.
     pub fn par_frames_mut(&mut self) -> impl IndexedParallelIterator<Item = FrameMut<'_>> {
         let (len, count) = (self.frame_len(), self.extent.frames);

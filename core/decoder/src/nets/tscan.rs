@@ -4,11 +4,10 @@
 //! do not see each other.
 
 use heartian_ops::activation::{logistic, tanh};
-use heartian_ops::{Convolution, Extent, Filter, Scratch, Strip, Volume, Windows, linear};
+use heartian_ops::{Extent, Filter, FrameMut, PairScratch, PairedConvolution, Strip, Volume, Windows, linear};
 use rayon::prelude::*;
 
 use super::Trace;
-use crate::layer::{Layer, Pool};
 use crate::parts::{Affine, Parts};
 use crate::{Architecture, Batch, DecoderError, InputForm, Options, SegmentEdge};
 
@@ -20,8 +19,8 @@ const HIDDEN: usize = 128;
 /// Two convolutions of each branch and the gate.
 #[derive(Debug)]
 struct Stage {
-    motion: [Convolution; 2],
-    appearance: [Convolution; 2],
+    motion: [PairedConvolution; 2],
+    appearance: [PairedConvolution; 2],
     gate: Affine,
 }
 
@@ -37,11 +36,11 @@ pub struct TsCan {
 
 impl Stage {
     fn new(parts: &Parts<'_>, index: usize, inputs: usize, width: usize) -> Result<Self, DecoderError> {
-        let pair = |branch: &str| -> Result<[Convolution; 2], DecoderError> {
+        let pair = |branch: &str| -> Result<[PairedConvolution; 2], DecoderError> {
             let layer = |place: usize, inputs: usize| {
                 let affine =
                     parts.affine(&format!("{branch}_conv{}", 2 * index + place), &[width, inputs, 3, 3], true)?;
-                affine.convolution(inputs, [1, 3, 3])
+                affine.paired_rows(inputs)
             };
             Ok([layer(1, inputs)?, layer(2, width)?])
         };
@@ -147,52 +146,79 @@ impl TsCan {
         let side = extent.height - 2;
         let pooled = Extent { height: side / 2, width: side / 2, ..wide };
 
-        let first = Layer {
-            kernel: (&stage.appearance[0]).into(),
-            padding: [0, 1],
-            activation: tanh,
-            pool: Pool::Keep,
-            margin: 0,
-        };
-        let inner = first.run(appearance)?;
-        let mut gates = vec![0.0f32; extent.frames * side * side];
-        let mut seen = Volume::zeros(pooled, 1);
-        let gated_frames = seen.par_frames_mut().zip(gates.par_chunks_mut(side * side)).enumerate();
-        gated_frames.try_for_each_init(Scratch::default, |scratch, (t, (mut out, gate))| {
-            let windows = Windows { before: [0, 0], output: [side; 2], source: |_, _| Some(t) };
-            stage.appearance[1].frame(&inner, &windows, scratch, |strip| {
-                strip.each(tanh);
-                gate_rows(strip, &stage.gate, &mut gate[strip_rows(strip, side)]);
-                average_rows(strip, width, None, &mut out);
-            })?;
-            normalise_gate(gate);
-            Ok::<(), DecoderError>(())
-        })?;
+        let whole = Sides { before: [1, 1], output: [extent.height; 2] };
+        let inside = Sides { before: [0, 0], output: [side; 2] };
 
         let mut inner = Volume::zeros(wide, 0);
-        inner.par_frames_mut().enumerate().try_for_each_init(Scratch::default, |scratch, (t, mut out)| {
-            let source = |c: usize, _: usize| self.shifted(t, c, channels);
-            let windows = Windows { before: [1, 1], output: [extent.height, extent.width], source };
-            stage.motion[0].frame(motion, &windows, scratch, |strip| {
-                strip.each(tanh);
-                for c in 0..width {
-                    for r in 0..strip.rows {
-                        out.row_mut(c, strip.first_row + r).copy_from_slice(strip.row(c, r));
-                    }
-                }
-            })
-        })?;
+        let frames = inner.par_frames_mut();
+        convolve(
+            &stage.appearance[0],
+            appearance,
+            whole,
+            |t, _| Some(t),
+            frames,
+            |strip, out| copy_rows(strip, width, out),
+        )?;
+        let mut gates = vec![0.0f32; extent.frames * side * side];
+        let mut seen = Volume::zeros(pooled, 1);
+        let frames = seen.par_frames_mut().zip(gates.par_chunks_mut(side * side));
+        convolve(
+            &stage.appearance[1],
+            &inner,
+            inside,
+            |t, _| Some(t),
+            frames,
+            |strip, (out, gate)| {
+                gate_rows(strip, &stage.gate, &mut gate[strip_rows(strip, side)]);
+                average_rows(strip, width, None, out);
+            },
+        )?;
+        gates.par_chunks_mut(side * side).for_each(normalise_gate);
+
+        let frames = inner.par_frames_mut();
+        let source = |t, c| self.shifted(t, c, channels);
+        convolve(&stage.motion[0], motion, whole, source, frames, |strip, out| copy_rows(strip, width, out))?;
         let mut moved = Volume::zeros(pooled, 1);
-        let moved_frames = moved.par_frames_mut().zip(gates.par_chunks(side * side)).enumerate();
-        moved_frames.try_for_each_init(Scratch::default, |scratch, (t, (mut out, gate))| {
-            let source = |c: usize, _: usize| self.shifted(t, c, width);
-            let windows = Windows { before: [0, 0], output: [side; 2], source };
-            stage.motion[1].frame(&inner, &windows, scratch, |strip| {
-                strip.each(tanh);
-                average_rows(strip, width, Some(&gate[strip_rows(strip, side)]), &mut out);
-            })
+        let frames = moved.par_frames_mut().zip(gates.par_chunks(side * side));
+        let source = |t, c| self.shifted(t, c, width);
+        convolve(&stage.motion[1], &inner, inside, source, frames, |strip, (out, gate)| {
+            average_rows(strip, width, Some(&gate[strip_rows(strip, side)]), out);
         })?;
         Ok((gates, seen, moved))
+    }
+}
+
+/// Padding and size of a layer's output.
+#[derive(Clone, Copy)]
+struct Sides {
+    before: [usize; 2],
+    output: [usize; 2],
+}
+
+/// Convolves and applies tanh, frame by frame in parallel; channel `c` of frame `t` is read from frame `source(t, c)`.
+fn convolve<T: Send>(
+    convolution: &PairedConvolution,
+    input: &Volume,
+    Sides { before, output }: Sides,
+    source: impl Fn(usize, usize) -> Option<usize> + Sync,
+    outputs: impl IndexedParallelIterator<Item = T>,
+    finish: impl Fn(&mut Strip<'_>, &mut T) + Sync,
+) -> Result<(), DecoderError> {
+    outputs.enumerate().try_for_each_init(PairScratch::default, |scratch, (t, mut out)| {
+        let windows = Windows { before, output, source: |c, _| source(t, c) };
+        convolution.frame(input, &windows, scratch, |strip| {
+            strip.each(tanh);
+            finish(strip, &mut out);
+        })
+    })?;
+    Ok(())
+}
+
+fn copy_rows(strip: &mut Strip<'_>, channels: usize, out: &mut FrameMut<'_>) {
+    for c in 0..channels {
+        for r in 0..strip.rows {
+            out.row_mut(c, strip.first_row + r).copy_from_slice(strip.row(c, r));
+        }
     }
 }
 
@@ -244,7 +270,7 @@ fn normalise_gate(gate: &mut [f32]) {
 }
 
 /// Means of 2 × 2 pixels, gated or not, into the output frame; an odd last row or column is dropped.
-fn average_rows(strip: &mut Strip<'_>, channels: usize, gate: Option<&[f32]>, out: &mut heartian_ops::FrameMut<'_>) {
+fn average_rows(strip: &mut Strip<'_>, channels: usize, gate: Option<&[f32]>, out: &mut FrameMut<'_>) {
     let (width, rows, first_row) = (strip.width, strip.rows, strip.first_row);
     for c in 0..channels {
         if let Some(gate) = gate {

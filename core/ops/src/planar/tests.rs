@@ -140,3 +140,39 @@ fn pairs_of_frames_give_the_sums_of_single_ones() {
     }
     assert!(PairedConvolution::new(&[0.0; 26], &[], [1, 1], [3, 3]).is_err());
 }
+
+#[test]
+fn pairs_of_rows_give_the_sums_of_single_ones() {
+    for (channels, [height, width], pad) in [(3, [9, 12], 1), (6, [24, 30], 0), (2, [4, 3], 0), (4, [3, 3], 0)] {
+        let (frames, outputs) = (3, 5);
+        let extent = Extent { frames, channels, height, width };
+        let (dense, bias) = (numbers(extent.values(), 15), numbers(outputs, 16));
+        let weights = numbers(outputs * channels * 9, 17);
+        let volume = Volume::from_dense(extent, pad, &dense, false).unwrap();
+        let paired = PairedConvolution::new(&weights, &bias, [outputs, channels], [1, 3]).unwrap();
+        let case = Case { extent, outputs, kernel: [1, 3, 3], pad: [pad, pad], margin: pad };
+        let output = [height + 2 * pad - 2, width + 2 * pad - 2];
+        let (mut scratch, mut seen) = (PairScratch::default(), 0);
+        for t in 0..frames {
+            let source = move |c: usize, _: usize| if c < channels / 3 { Some(t + 1) } else { Some(t) };
+            let windows = Windows { before: [pad, pad], output, source };
+            let sink = |strip: &mut Strip<'_>| {
+                let rows = strip.rows;
+                for (o, r) in (0..outputs * rows).map(|i| (i / rows, i % rows)) {
+                    let y = strip.first_row + r;
+                    let got = strip.row(o, r).to_vec();
+                    if r + 1 < rows && r % 2 == 0 {
+                        assert_eq!(strip.two_rows(o, r).0, got);
+                    }
+                    for (x, got) in got.iter().enumerate() {
+                        let want = exact(&case, &dense, &weights, [o, t, y, x], &source) + f64::from(bias[o]);
+                        assert!((f64::from(*got) - want).abs() < 2e-5, "{:?} {got} {want}", [o, t, y, x]);
+                        seen += 1;
+                    }
+                }
+            };
+            paired.frame(&volume, &windows, &mut scratch, sink).unwrap();
+        }
+        assert_eq!(seen, frames * outputs * output[0] * output[1]);
+    }
+}
