@@ -44,12 +44,16 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
+/// Overlays of full.ron that change the pulse alone.
+const ABLATIONS: [&str; 6] =
+    ["no_residual", "direct_phase", "no_pos_prior", "global_pos", "sliding_pos", "waveform_only"];
+
 #[test]
 fn every_graph_that_ships_is_sound() {
     let files = graph_files();
     let names: BTreeSet<String> =
         files.iter().map(|path| path.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-    for wanted in ["full", "no_residual", "direct_phase", "measure"] {
+    for wanted in ["full", "measure", "ubfc", "pure", "mmpd"].into_iter().chain(ABLATIONS) {
         assert!(names.contains(wanted), "graphs/{wanted}.ron is missing");
     }
     for path in files {
@@ -65,7 +69,7 @@ fn ablations_share_all_that_comes_before_the_pulse() {
     let shared = ["frames", "track", "avatar", "skin"];
     let full = identity(&plan(&root().join("graphs/full.ron"), &[]), &shared);
     assert_eq!(full.len(), shared.len());
-    for overlay in ["no_residual", "direct_phase"] {
+    for overlay in ABLATIONS {
         assert_eq!(identity(&plan(&root().join(format!("graphs/{overlay}.ron")), &[]), &shared), full, "{overlay}");
     }
     let faster = plan(&root().join("graphs/full.ron"), &["phase.heart_rate_bpm=96"]);

@@ -7,6 +7,7 @@ mod laws;
 mod pipeline;
 mod plugins;
 mod results;
+mod stage2;
 
 // Linked for the nodes they register.
 use {heartian_nodes_avatar as _, heartian_nodes_capture as _, heartian_nodes_measure as _, heartian_nodes_pulse as _};

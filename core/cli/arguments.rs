@@ -63,12 +63,20 @@ pub enum Command {
         /// Which kind; all of them when left out
         kind: Option<String>,
     },
-    /// Put the metrics of several runs side by side
-    #[command(after_help = "Example:\n  heartian compare runs/full-* runs/no_residual-* runs/direct_phase-*")]
+    /// Put the metrics of several runs side by side, and what each changes against the first
+    #[command(after_help = "\
+Example:
+  heartian compare runs/full-* runs/no_residual-* runs/direct_phase-*
+
+Differences are paired: the same windows of 8 s of the waveforms of both runs, with the 95 % interval of their mean by
+bootstrap. compare.png shows the prescribed waveform and what each run's skin carries.")]
     Compare {
         /// Run folders, or their `metrics.json`
         #[arg(required = true)]
         runs: Vec<PathBuf>,
+        /// The picture of the waveforms [default: compare.png beside the first run]
+        #[arg(long, value_name = "FILE")]
+        plot: Option<PathBuf>,
     },
     /// Look after the cache: list, measure, verify, make room
     Cache(CacheArguments),
@@ -137,6 +145,44 @@ pub enum PluginsAction {
 pub enum Bench {
     /// The engine: cached and cold runs of small and large graphs beside make, and what kills and damage cost
     Graph(GraphBench),
+    /// The pulse: a cohort of recordings, stage 2 against rasterising each step, and speed against error
+    Pulse(PulseBenchArguments),
+}
+
+/// How the pulse is measured.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  heartian bench pulse                        24 recordings, about a quarter of an hour on two cores
+  heartian bench pulse --cohort 4             every sixth of them
+  heartian bench pulse --ppg a.csv --ppg b.csv   the recordings with motion carry real pulse waveforms
+  heartian bench pulse --json
+
+Recordings, avatars and fits are cached: a second run measures only time again.
+speed.png and a table of every recording are left in the folder of the results.")]
+pub struct PulseBenchArguments {
+    /// How many of the 24 recordings, evenly chosen; 0 leaves the cohort out
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(0..=24))]
+    pub cohort: u32,
+    /// Contact PPG (CSV, `time_s,ppg`) for the recordings with motion; may be repeated
+    #[arg(long, value_name = "FILE")]
+    pub ppg: Vec<PathBuf>,
+    /// Peak-to-peak of the pulse as a share of the skin's green albedo [default: PhaseModel's]; several give the curve
+    /// of picture cost against recoverability
+    #[arg(long, value_name = "SHARE")]
+    pub amplitude: Vec<f64>,
+    /// Only the cohort: leave out the timing of stage 2 and speed against error
+    #[arg(long)]
+    pub no_timing: bool,
+    /// Print one JSON object and nothing else
+    #[arg(long)]
+    pub json: bool,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "runs/bench-pulse")]
+    pub out: PathBuf,
+    /// The machine.
+    #[command(flatten)]
+    pub host: HostArguments,
 }
 
 /// What to do with the models.

@@ -2,6 +2,7 @@
 //! tests: a busy machine changes them.
 
 pub mod graph;
+mod pulse;
 
 use std::process::ExitCode;
 
@@ -13,5 +14,6 @@ use crate::arguments::Bench;
 pub fn run(bench: &Bench) -> Result<ExitCode> {
     match bench {
         Bench::Graph(arguments) => graph::run(arguments),
+        Bench::Pulse(arguments) => pulse::run(arguments),
     }
 }

@@ -1,4 +1,7 @@
-//! `heartian compare`: the metrics of several runs side by side, and what each node did in each.
+//! `heartian compare`: the metrics of several runs side by side, what each changes against the first, and what each
+//! node did in each.
+
+mod waveforms;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,7 +13,7 @@ use crate::deliver::MetricsFile;
 use crate::summary::table;
 
 /// Prints one column a run.
-pub fn print(runs: &[PathBuf]) -> Result<ExitCode> {
+pub fn print(runs: &[PathBuf], plot: Option<&Path>) -> Result<ExitCode> {
     let files: Vec<MetricsFile> = runs.iter().map(|run| read(run)).collect::<Result<_>>()?;
     let names = headings(runs, &files);
     let right = vec![true; files.len() + 1];
@@ -26,6 +29,7 @@ pub fn print(runs: &[PathBuf]) -> Result<ExitCode> {
         rows.push(std::iter::once(key.clone()).chain(cells).collect());
     }
     print!("{}", table(&rows, &right));
+    waveforms::print(runs, &files, &names, plot)?;
     let mut rows = vec![heading_row("node", &names)];
     let mut ids: Vec<&String> = Vec::new();
     for node in files.iter().flat_map(|file| &file.nodes) {

@@ -12,6 +12,7 @@ mod compare;
 mod deliver;
 mod manual;
 mod models;
+mod paired;
 mod plugins;
 mod progress;
 mod run;
@@ -35,7 +36,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => run::run(&arguments),
         Command::Check(arguments) => run::check(&arguments),
         Command::Nodes { kind } => manual::print(kind.as_deref()),
-        Command::Compare { runs } => compare::print(&runs),
+        Command::Compare { runs, plot } => compare::print(&runs, plot.as_deref()),
         Command::Cache(arguments) => cache::act(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),
         Command::Plugins { action } => plugins::act(&action),

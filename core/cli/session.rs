@@ -68,6 +68,11 @@ impl Session {
         self.options.cancel.requested()
     }
 
+    /// Runs a plan; results stay in the cache.
+    pub fn execute(&self, run: &Run<'_>) -> Vec<NodeReport> {
+        quietly(|| run.execute(&self.options))
+    }
+
     /// Runs a plan and leaves its results in a folder.
     pub fn carry_out(&self, job: &Job<'_>) -> Result<Done> {
         let start = Instant::now();
@@ -79,7 +84,7 @@ impl Session {
         let mut reports: Vec<NodeReport> = Vec::new();
         let mut attempts = 0;
         let delivered = loop {
-            reports = merge(reports, quietly(|| run.execute(&self.options)));
+            reports = merge(reports, self.execute(&run));
             if self.cancelled() {
                 break Delivered::default();
             }

@@ -68,7 +68,7 @@ pub(crate) fn evaluate_states(avatar: &Avatar, recorded: &Clip, frames: &[usize]
 }
 
 /// One frame over black as planes in [0, 1].
-fn planar(clip: &Clip, frame: usize) -> Vec<f32> {
+pub(crate) fn planar(clip: &Clip, frame: usize) -> Vec<f32> {
     let image = clip.image_over_black(frame);
     let pixels = image.data.as_chunks::<3>().0;
     (0..3).flat_map(|channel| pixels.iter().map(move |pixel| f32::from(pixel[channel]) / 255.0)).collect()

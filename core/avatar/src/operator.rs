@@ -55,7 +55,10 @@ pub fn albedo_operator(
     options: &OperatorOptions,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<AlbedoOperator, AvatarError> {
-    check(avatar, skin, clip, options)?;
+    if !(1..=64).contains(&options.cell_px) {
+        return Err(AvatarError::Option { name: "cell_px", value: options.cell_px as f64, range: "1 to 64" });
+    }
+    check_recording(avatar, skin, clip)?;
     let mut column_of = vec![u32::MAX; avatar.len()];
     for (column, &index) in skin.gaussians.iter().enumerate() {
         column_of[index as usize] = column as u32;
@@ -88,10 +91,8 @@ pub fn albedo_operator(
     Ok(operator.checked()?)
 }
 
-fn check(avatar: &Avatar, skin: &Skin, clip: &Clip, options: &OperatorOptions) -> Result<(), AvatarError> {
-    if !(1..=64).contains(&options.cell_px) {
-        return Err(AvatarError::Option { name: "cell_px", value: options.cell_px as f64, range: "1 to 64" });
-    }
+/// Refuses a skin of other Gaussians and a clip that the avatar was not fitted to.
+pub(crate) fn check_recording(avatar: &Avatar, skin: &Skin, clip: &Clip) -> Result<(), AvatarError> {
     if let Some(&index) = skin.gaussians.iter().find(|&&index| index as usize >= avatar.len()) {
         return Err(AvatarError::Index { what: "the skin", index: index as usize, count: avatar.len() });
     }

@@ -5,12 +5,12 @@ use std::ops::ControlFlow;
 use heartian_artifact::{Artifact, ArtifactError, BundleReader};
 use heartian_face::Track;
 use heartian_space::{Clip, Host, Modulation, Progress, Sequence, Skin};
-use heartian_splat::Environment;
+use heartian_splat::{Environment, PhotometricWeights};
 
 use crate::phantom;
 use crate::picture::{AlbedoOffsets, Features, Scene};
 use crate::{
-    Avatar, AvatarError, OperatorOptions, RenderOptions, SkinOptions, TrainOptions, TrainReport, albedo_operator,
+    Avatar, AvatarError, FrozenRender, OperatorOptions, RenderOptions, SkinOptions, TrainOptions, TrainReport, albedo_operator,
     evaluate, relight, render_clip, select_skin, train,
 };
 
@@ -188,6 +188,29 @@ fn the_linear_map_predicts_the_modulated_render() -> Result<(), AvatarError> {
     }));
     let thin = OperatorOptions { most_entries: 1, ..options };
     assert_eq!(albedo_operator(&avatar, &skin, &clip, &thin, &mut onward)?.frames.len(), 1);
+    Ok(())
+}
+
+#[test]
+fn the_rendered_loss_of_stage_2_has_the_slope_it_says() -> Result<(), AvatarError> {
+    let (clip, track, avatar, _) = fitted()?;
+    let skin = first_skin(&avatar, &track)?;
+    let count = skin.gaussians.len();
+    // D-SSIM is smooth; the absolute error's kinks would need steps below an f32's rounding.
+    let smooth = PhotometricWeights { l1: 0.0, ..PhotometricWeights::default() };
+    let frozen = FrozenRender::new(&avatar, &skin, &clip)?.with_weights(smooth);
+    let mut gradient = vec![0.0; count];
+    frozen.loss(3, &vec![0.002; count], &mut gradient)?;
+    let direction: Vec<f32> = (0..count).map(|i| if i % 3 == 0 { 1.0 } else { 0.4 }).collect();
+    let along = |step: f32| {
+        let offsets: Vec<f32> = direction.iter().map(|d| 0.002 + step * d).collect();
+        frozen.loss(3, &offsets, &mut vec![0.0; count])
+    };
+    let found = (along(4e-3)? - along(-4e-3)?) / 8e-3;
+    let expected: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
+    assert!((found / expected - 1.0).abs() < 0.03, "{found} against {expected}");
+    assert!(frozen.loss(clip.len(), &vec![0.0; count], &mut gradient).is_err());
+    assert!(frozen.loss(0, &[0.0], &mut gradient).is_err());
     Ok(())
 }
 

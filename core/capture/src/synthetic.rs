@@ -68,7 +68,21 @@ pub fn generate(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<SyntheticRecording, CaptureError> {
     options.validate()?;
-    Studio::new(HeadModel::procedural(), options).record(progress)
+    Studio::new(HeadModel::procedural(), options, None).record(progress)
+}
+
+/// The same of a person whose blood follows a contact PPG, which is then the recording's; `heart_rate_bpm` and `hrv_ms`
+/// have no say. The trace holds its end values where it does not reach.
+///
+/// # Errors
+/// As [`generate`].
+pub fn generate_with_pulse(
+    options: &SyntheticOptions,
+    ppg: &Series,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<SyntheticRecording, CaptureError> {
+    options.validate()?;
+    Studio::new(HeadModel::procedural(), options, Some(ppg)).record(progress)
 }
 
 /// A person, a light and a camera, ready to record.
@@ -83,7 +97,7 @@ struct Studio<'a> {
 }
 
 impl<'a> Studio<'a> {
-    fn new(head: HeadModel, options: &'a SyntheticOptions) -> Self {
+    fn new(head: HeadModel, options: &'a SyntheticOptions, ppg: Option<&Series>) -> Self {
         let draw = Random::new(options.seed, Stream::Identity);
         let identity: Vec<f32> =
             (0..head.identity.count).map(|mode| (IDENTITY_SPREAD * draw.normal(mode as u64)) as f32).collect();
@@ -97,7 +111,10 @@ impl<'a> Studio<'a> {
             head,
             identity,
             scene: Scene::new(person, materials, lighting, camera, options.seed),
-            physiology: Physiology::new(heart, options.seconds),
+            physiology: match ppg {
+                Some(ppg) => Physiology::new(heart, options.seconds).following(ppg),
+                None => Physiology::new(heart, options.seconds),
+            },
             motion: Motion::new(options.seed, options.seconds, options.motion),
             times_seconds: (0..options.frame_count()).map(|frame| frame as f64 / options.frames_per_second).collect(),
         }

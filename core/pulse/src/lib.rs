@@ -40,7 +40,7 @@ pub use phase::{Anchors, Parameterization, Phase, PhaseGradient};
 pub use pulse::{Pulse, Strength, modulation_from_fundamental};
 pub use reference::{Prescription, PulseFile, Reference, Rhythm};
 pub use render_loss::{BaseLoss, FrozenRenderer};
-pub use residual_fit::{Evaluation, ResidualOptions, evaluate_all, fit_residual, mean_offsets};
+pub use residual_fit::{Evaluation, Precision, ResidualOptions, evaluate_all, fit_residual, mean_offsets};
 pub use waveform::{PenaltyWeights, Waveform, WaveformGradient, Waves};
 
 #[cfg(test)]

@@ -20,8 +20,19 @@ use crate::losses::{LossWeights, WaveformTarget};
 use crate::numeric::{Random, mean};
 use crate::pulse::Pulse;
 use crate::render_loss::{BaseLoss, FrozenRenderer};
+use crate::residual::matrix::Real;
 use crate::residual::{Residual, Shape};
 use patches::Patches;
+
+/// In which arithmetic the network is trained; it is kept and evaluated in f32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum Precision {
+    /// f32.
+    #[default]
+    Single,
+    /// f64: what f32 is judged by.
+    Double,
+}
 
 /// Settings of [`fit_residual`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -38,6 +49,8 @@ pub struct ResidualOptions {
     pub residual_weight: f64,
     /// Rate of B (paper: 1e-4).
     pub residual_weight_rate: f64,
+    /// Arithmetic of the training.
+    pub precision: Precision,
     /// λ of the losses; those of phase are not used here.
     pub weights: LossWeights,
     /// Seed of the initial weights and of the draws.
@@ -55,6 +68,7 @@ impl Default for ResidualOptions {
             rate: Schedule { first: 3.8e-3, last: 5e-4, steps: 1.0 },
             residual_weight: 0.3,
             residual_weight_rate: 1e-4,
+            precision: Precision::Single,
             weights: LossWeights::default(),
             seed: 0,
             evaluation: Evaluation::default(),
@@ -114,7 +128,18 @@ pub fn fit_residual(
         render,
         options,
     };
-    let (network, residual_weight) = training.run(network, progress)?;
+    let (network, residual_weight) = match options.precision {
+        Precision::Single => {
+            let mut adam = AdamF32::new(network.weights.len());
+            training.run(network, |weights, gradient, rate| adam.step(weights, gradient, rate), progress)?
+        }
+        Precision::Double => {
+            let mut adam = Adam::new(network.weights.len());
+            let step = |weights: &mut [f64], gradient: &[f64], rate: f64| adam.step(weights, gradient, |_| rate);
+            let (network, residual_weight) = training.run(network.cast::<f64>(), step, progress)?;
+            (network.cast(), residual_weight)
+        }
+    };
     let mut fitted = pulse.clone();
     fitted.strength.residual_weight = residual_weight;
     fitted.residual = Some(network);
@@ -170,10 +195,15 @@ struct Training<'a> {
 }
 
 impl Training<'_> {
-    /// Adam over the network and B.
-    fn run(&self, mut network: Residual, progress: Watch<'_>) -> Result<(Residual, f64), PulseError> {
+    /// Adam over the network, one `step` of weights, gradient and rate at a time, and over B.
+    fn run<T: Real>(
+        &self,
+        mut network: Residual<T>,
+        mut adam: impl FnMut(&mut [T], &[T], f64),
+        progress: Watch<'_>,
+    ) -> Result<(Residual<T>, f64), PulseError> {
         let options = self.options;
-        let (mut adam, mut adam_b) = (AdamF32::new(network.weights.len()), Adam::new(1));
+        let mut adam_b = Adam::new(1);
         let mut residual_weight = [options.residual_weight];
         let mut random = Random::new(options.seed.wrapping_add(1));
         for step in 0..options.steps {
@@ -182,12 +212,12 @@ impl Training<'_> {
             let frames = network.frames(&self.pulse.theta, &self.pulse.beat);
             let positions = network.positions(&points);
             let (out, kept) = network.forward_kept(&frames, &positions);
-            let out: Vec<f64> = out.into_iter().map(f64::from).collect();
+            let out: Vec<f64> = out.into_iter().map(Real::to_f64).collect();
             let losses = self.losses(&out, residual_weight[0])?;
-            let pulled: Vec<f32> = losses.to_outputs.iter().map(|&g| g as f32).collect();
+            let pulled: Vec<T> = losses.to_outputs.iter().map(|&g| T::from_f64(g)).collect();
             let gradient = network.backward(&frames, &positions, &kept, &pulled);
             let at = f64::from(step) / f64::from(options.steps);
-            adam.step(&mut network.weights, &gradient, options.rate.at(at));
+            adam(&mut network.weights, &gradient, options.rate.at(at));
             adam_b.step(&mut residual_weight, &[losses.to_residual_weight], |_| options.residual_weight_rate);
             residual_weight[0] = residual_weight[0].max(1e-3);
             if step % 20 == 0 || step + 1 == options.steps {

@@ -7,6 +7,7 @@ mod figure;
 mod parquet;
 mod preview;
 mod sheet;
+mod trade_off;
 
 pub use agreement::{Agreement, agreement_figure};
 pub use canvas::{decode_png, encode_png};
@@ -15,6 +16,7 @@ pub use figure::{Curve, waveform_figure};
 pub use parquet::table_parquet;
 pub use preview::encode_preview;
 pub use sheet::contact_sheet;
+pub use trade_off::{TradeOff, trade_off_figure};
 
 /// What can go wrong while drawing.
 #[derive(Debug, thiserror::Error)]

@@ -5,7 +5,7 @@ use std::path::Path;
 use heartian_capture::CaptureError;
 use heartian_capture::ppg::{ClipPpg, cover_clip, read_ppg};
 use heartian_capture::real::{RealOptions, load_real};
-use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate};
+use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate, generate_with_pulse};
 use heartian_face::Observations;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
 use heartian_space::{Clip, Progress, Series};
@@ -20,7 +20,7 @@ params! {
         /// `synthetic`, a video file (.mp4, .avi; others through the ffmpeg program), or a folder of PNG frames.
         source: String = SYNTHETIC.to_owned();
         /// Contact PPG as CSV with the header `time_s,ppg`, on the video's clock, at any sampling rate. The synthetic
-        /// recording brings its own.
+        /// recording brings its own; given one, its person's blood follows it.
         ppg: Option<String> = None;
         /// How much of the recording is read.
         seconds: f64 = 20.0, unit("s"), range(0.5, 3600.0);
@@ -52,7 +52,7 @@ register!(FrameLoader);
 
 impl Node for FrameLoader {
     const KIND: &'static str = "FrameLoader";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),
@@ -103,7 +103,11 @@ impl FrameLoader {
             ..SyntheticOptions::default()
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
-        let recording = generate(&options, watch).map_err(named)?;
+        let recording = match &trace {
+            Some(trace) => generate_with_pulse(&options, &trace.whole, watch),
+            None => generate(&options, watch),
+        }
+        .map_err(named)?;
         let ppg = match trace {
             Some(trace) => trace.over(&recording.clip)?,
             None => {

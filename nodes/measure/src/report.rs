@@ -3,7 +3,7 @@
 use heartian_graph::{Context, Files, Inputs, Node, NodeError, Outputs, Port, params, register};
 use heartian_report::{Curve, contact_sheet, encode_png, encode_preview, waveform_figure};
 use heartian_signal::{Band, Resolution, Spectrum, resampled_evenly};
-use heartian_space::{Clip, Series, Traces};
+use heartian_space::{Clip, Series, Trace, Traces};
 
 params! {
     /// Draws the contact sheet of some clips, the waveforms with their spectra, and a small animated preview.
@@ -20,12 +20,12 @@ register!(Report);
 
 impl Node for Report {
     const KIND: &'static str = "Report";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::many::<Clip>("clips", "Clips of equal size and length, one row each."),
         Port::many::<Traces>("traces", "Waveforms, one colour each.").optional(),
     ];
-    const OUTPUTS: &'static [Port] = &[Port::one::<Files>("files", "contact_sheet.png, preview.png, waveforms.png.")];
+    const OUTPUTS: &'static [Port] = &[Port::one::<Files>("files", "contact_sheet.png, preview.png, waveforms.png, waveforms.csv.")];
 
     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
         let clips = inputs.many::<Clip>("clips")?;
@@ -33,18 +33,26 @@ impl Node for Report {
         let mut files = Files::new()
             .with("contact_sheet.png", encode_png(&contact_sheet(&clips, self.columns)?)?)?
             .with("preview.png", encode_preview(&clips, self.preview_size, self.seconds)?)?;
-        let mut curves = Vec::new();
+        let (mut curves, mut text) = (Vec::new(), "label,time_s,value\n".to_owned());
         for traces in inputs.many::<Traces>("traces")? {
             for trace in &traces.0 {
                 curves.push(curve(&trace.label, &trace.series)?);
+                write_samples(&mut text, trace);
             }
         }
         if !curves.is_empty() {
             let band = Band::TOOLBOX;
             let figure = waveform_figure(&curves, self.seconds, (band.low_hertz, band.high_hertz))?;
-            files = files.with("waveforms.png", encode_png(&figure)?)?;
+            files = files.with("waveforms.png", encode_png(&figure)?)?.with("waveforms.csv", text.into_bytes())?;
         }
         Ok(Outputs::new().put("files", files))
+    }
+}
+
+/// One line a sample; a label holds no comma, for it is made of the names of clips and methods.
+fn write_samples(text: &mut String, trace: &Trace) {
+    for (time, value) in trace.series.times_seconds.iter().zip(&trace.series.values) {
+        text.push_str(&format!("{},{time},{value}\n", trace.label.replace(',', " ")));
     }
 }
 

@@ -5,4 +5,4 @@ mod mlp_residual;
 mod phase_model;
 
 pub use mlp_residual::MlpResidual;
-pub use phase_model::{PhaseModel, Preset, WeakPrior};
+pub use phase_model::{LossesUsed, PhaseModel, Preset, WeakPrior};

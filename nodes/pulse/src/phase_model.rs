@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
+use heartian_pulse::losses::LossWeights;
 use heartian_pulse::reference::weak_phase;
 use heartian_pulse::{
     Parameterization, PhaseOptions, Prescription, Pulse, PulseError, PulseFile, Reference, Rhythm, Scene, fit_phase,
@@ -23,6 +24,15 @@ pub enum Preset {
     Paper,
     /// A twentieth of them, for a look.
     Fast,
+}
+
+/// Which losses the fundamental is fitted to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LossesUsed {
+    /// Phase, weak phase, waveform and photometric.
+    All,
+    /// Mean squared error and Pearson correlation of the waveform.
+    Waveform,
 }
 
 /// Where the weak phase prior comes from.
@@ -69,6 +79,11 @@ params! {
         most_levels: f64 = 6.0, unit("8-bit levels"), range(0.01, 255.0);
         /// Weak phase prior from the recording's own pulse; dropped when that pulse does not keep step with the one written.
         weak_prior: WeakPrior = WeakPrior::Global, choices(&["Global", "Sliding", "Off"]);
+        /// Whether the pulse swings about the skin's colour; without, it only adds light, as in the paper, and the mean
+        /// colour shifts.
+        centred: bool = true;
+        /// All losses of the paper, or the waveform's alone.
+        losses: LossesUsed = LossesUsed::All, choices(&["All", "Waveform"]);
         /// Length of the fit.
         preset: Preset = Preset::Paper, choices(&["Paper", "Fast"]);
     }
@@ -77,7 +92,7 @@ register!(PhaseModel);
 
 impl Node for PhaseModel {
     const KIND: &'static str = "PhaseModel";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The recording: its frame times, and its own pulse for the weak prior."),
         Port::one::<Series>("ppg", "Contact PPG on the clip's clock, at any rate.").optional(),
@@ -212,7 +227,11 @@ impl PhaseModel {
             Preset::Fast => PhaseOptions::default(),
             Preset::Paper => PhaseOptions::paper(),
         };
-        let Self { parameterization, amplitude, most_levels, .. } = *self;
-        PhaseOptions { parameterization, amplitude, most_levels, ..base }
+        let Self { parameterization, amplitude, most_levels, centred, .. } = *self;
+        let weights = match self.losses {
+            LossesUsed::All => base.weights,
+            LossesUsed::Waveform => LossWeights { phase: 0.0, pos: 0.0, base: 0.0, ..base.weights },
+        };
+        PhaseOptions { parameterization, amplitude, most_levels, centred, weights, ..base }
     }
 }

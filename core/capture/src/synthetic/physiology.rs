@@ -15,6 +15,8 @@ pub(crate) const CONTACT_HERTZ: f64 = 125.0;
 pub(crate) const FINGER_DELAY_SECONDS: f64 = 0.085;
 /// Beats start this long before the first frame and go on this long after the last, so that delays have a past.
 const MARGIN_SECONDS: f64 = 4.0;
+/// Half of the stretch whose mean is taken off a supplied PPG, seconds.
+const SLOW_SECONDS: f64 = 0.75;
 /// Noise of the contact sensor as a fraction of the pulse's height.
 const CONTACT_NOISE: f64 = 0.012;
 /// How much of the wave's height breathing takes away at its peak.
@@ -41,6 +43,8 @@ pub(crate) struct Physiology {
     respiration_phase: f64,
     contact: Random,
     mean_of_wave: [f64; 2],
+    /// Instead of beats: a contact PPG, and the same as a pulse in the face.
+    supplied: Option<(Series, Series)>,
 }
 
 /// The shape of one beat over its phase in [0, 1): a systolic wave that rises faster than it falls, and a diastolic one.
@@ -88,9 +92,38 @@ impl Physiology {
             respiration_phase: respiration.between(1, 0.0, TAU),
             contact: Random::new(heart.seed, Stream::Contact),
             mean_of_wave: [FACE.mean(), FINGER.mean()],
+            supplied: None,
         };
         physiology.beats_seconds = physiology.place_beats(heart, seconds);
         physiology
+    }
+
+    /// The same person with the blood of a contact PPG: the trace without what is slower than a beat, scaled to a height
+    /// of about 1, and as much earlier as the face is nearer to the heart than the finger.
+    pub(crate) fn following(self, ppg: &Series) -> Self {
+        let times = &ppg.times_seconds;
+        let mut sums = vec![0.0];
+        for value in &ppg.values {
+            sums.push(sums[sums.len() - 1] + value);
+        }
+        let pulse: Vec<f64> = times
+            .iter()
+            .zip(&ppg.values)
+            .map(|(time, value)| {
+                let from = times.partition_point(|t| *t < time - SLOW_SECONDS);
+                let to = times.partition_point(|t| *t <= time + SLOW_SECONDS);
+                value - (sums[to] - sums[from]) / (to - from) as f64
+            })
+            .collect();
+        let mut sorted = pulse.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
+        let height = at(0.95) - at(0.05);
+        let scale = if height > 0.0 { 1.0 / height } else { 0.0 };
+        // A spike of the sensor is no blood.
+        let values = pulse.into_iter().map(|value| (scale * value).clamp(-1.5, 1.5)).collect();
+        let times_seconds = times.iter().map(|time| time - FINGER_DELAY_SECONDS).collect();
+        Self { supplied: Some((ppg.clone(), Series { times_seconds, values })), ..self }
     }
 
     /// Onsets of beats: a steady rhythm plus respiratory arrhythmia, a slow 0.1 Hz wave and noise, scaled so that the
@@ -127,11 +160,17 @@ impl Physiology {
 
     /// Blood-volume pulse in the face.
     pub(crate) fn pulse(&self, seconds: f64) -> f64 {
+        if let Some((_, face)) = &self.supplied {
+            return face.at(seconds);
+        }
         self.wave(&FACE, 0, seconds)
     }
 
-    /// Times of systolic peaks in the face within `[0, seconds]`.
+    /// Times of systolic peaks in the face within `[0, seconds]`; none are known of a supplied PPG.
     pub(crate) fn systolic_peaks_seconds(&self, seconds: f64) -> Vec<f64> {
+        if self.supplied.is_some() {
+            return Vec::new();
+        }
         let peak = |pair: &[f64]| pair[0] + FACE.systole * (pair[1] - pair[0]);
         self.beats_seconds.windows(2).map(peak).filter(|time| (0.0..=seconds).contains(time)).collect()
     }
@@ -139,6 +178,9 @@ impl Physiology {
     /// What a finger sensor records from 0 to `seconds`: delayed, of another shape, with wander and noise, in arbitrary
     /// units about 1.
     pub(crate) fn contact_trace(&self, seconds: f64) -> Result<Series, SpaceError> {
+        if let Some((contact, _)) = &self.supplied {
+            return Ok(contact.clone());
+        }
         let count = (seconds * CONTACT_HERTZ).ceil() as usize + 1;
         let times: Vec<f64> = (0..count).map(|sample| sample as f64 / CONTACT_HERTZ).collect();
         let values = times
@@ -192,6 +234,26 @@ mod tests {
             let turns = heights.windows(3).filter(|h| h[1] > h[0] && h[1] >= h[2]).count();
             assert_eq!(turns, 2, "a dicrotic notch parts two waves");
         }
+    }
+
+    #[test]
+    fn a_supplied_trace_is_the_blood_whatever_its_unit_and_drift() {
+        let own = Physiology::new(HEART, 20.0);
+        let contact = own.contact_trace(20.0).unwrap();
+        let drifting = contact.times_seconds.iter().zip(&contact.values).map(|(t, v)| 40.0 * v + 3.0 * t).collect();
+        let drifting = Series::new(contact.times_seconds, drifting).unwrap();
+        let follower = Physiology::new(Heart { rate_bpm: 120.0, seed: 3, ..HEART }, 20.0).following(&drifting);
+        let times: Vec<f64> = (60..540).map(|t| f64::from(t) / 30.0).collect();
+        let (mut together, mut a, mut b) = (0.0, 0.0, 0.0);
+        for time in &times {
+            let (x, y) = (own.pulse(*time), follower.pulse(*time));
+            together += x * y;
+            a += x * x;
+            b += y * y;
+        }
+        let correlation = together / (a * b).sqrt();
+        assert!(correlation > 0.9 && (b / a).sqrt() > 0.7 && (b / a).sqrt() < 1.4, "{correlation} {}", (b / a).sqrt());
+        assert_eq!(follower.contact_trace(20.0).unwrap(), drifting);
     }
 
     #[test]
