@@ -46,7 +46,8 @@ fn the_linear_map_fits_the_pulse_that_rasterising_every_step_fits() {
         render: &render,
     };
     let reference = Reference::from_ppg(&recording.ppg, &recording.clip.times_seconds).unwrap();
-    let mean_green_albedo = skin.green_albedo.iter().map(|&g| f64::from(g)).sum::<f64>() / skin.green_albedo.len() as f64;
+    let mean_green_albedo =
+        skin.green_albedo.iter().map(|&g| f64::from(g)).sum::<f64>() / skin.green_albedo.len() as f64;
     // Few steps take A where the paper's many do only at a higher rate; all else is as it is by default.
     let mut phase = PhaseOptions { steps: 600, ..PhaseOptions::default() };
     phase.rates.scale = 3e-3;
@@ -64,7 +65,9 @@ fn the_linear_map_fits_the_pulse_that_rasterising_every_step_fits() {
     let (p, q) = (quick_full.report.full_pearson.unwrap(), slow_full.report.full_pearson.unwrap());
     println!(
         "apart {:.3} %; A {a:.6} {b:.6}; fundamental {:.6} {:.6}; full {p:.6} {q:.6}",
-        100.0 * distance, quick_report.fundamental_pearson, slow_report.fundamental_pearson
+        100.0 * distance,
+        quick_report.fundamental_pearson,
+        slow_report.fundamental_pearson
     );
     assert!(distance < 0.02, "the two modulations are {:.2} % apart", 100.0 * distance);
     assert!((quick_report.fundamental_pearson - slow_report.fundamental_pearson).abs() < 1e-4);

@@ -10,8 +10,8 @@ use heartian_splat::{Environment, PhotometricWeights};
 use crate::phantom;
 use crate::picture::{AlbedoOffsets, Features, Scene};
 use crate::{
-    Avatar, AvatarError, FrozenRender, OperatorOptions, RenderOptions, SkinOptions, TrainOptions, TrainReport, albedo_operator,
-    evaluate, relight, render_clip, select_skin, train,
+    Avatar, AvatarError, FrozenRender, OperatorOptions, RenderOptions, SkinOptions, TrainOptions, TrainReport,
+    albedo_operator, evaluate, relight, render_clip, select_skin, train,
 };
 
 fn quick() -> TrainOptions {

@@ -61,7 +61,10 @@ pub fn print(runs: &[PathBuf], files: &[MetricsFile], names: &[String], plot: Op
     }
     if rows.len() > 1 {
         print!("\n{}", table(&rows, &[false; 6]));
-        println!("  mean [95 % interval] over {} windows of {WINDOW_SECONDS} s; ΔPSNR is the cost to the picture", before.len());
+        println!(
+            "  mean [95 % interval] over {} windows of {WINDOW_SECONDS} s; ΔPSNR is the cost to the picture",
+            before.len()
+        );
     }
     draw(runs, names, &waveforms, plot)
 }
@@ -106,7 +109,9 @@ fn windows(waveforms: &Waveforms) -> Vec<Window> {
         return Vec::new();
     }
     let starts = (0..=wanted.len() - length).step_by(hop.max(1));
-    starts.map(|start| window(&wanted.values[start..][..length], &found.values[start..][..length], rate_hertz)).collect()
+    starts
+        .map(|start| window(&wanted.values[start..][..length], &found.values[start..][..length], rate_hertz))
+        .collect()
 }
 
 fn window(wanted: &[f64], found: &[f64], rate_hertz: f64) -> Window {

@@ -25,7 +25,8 @@ impl Node for Report {
         Port::many::<Clip>("clips", "Clips of equal size and length, one row each."),
         Port::many::<Traces>("traces", "Waveforms, one colour each.").optional(),
     ];
-    const OUTPUTS: &'static [Port] = &[Port::one::<Files>("files", "contact_sheet.png, preview.png, waveforms.png, waveforms.csv.")];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one::<Files>("files", "contact_sheet.png, preview.png, waveforms.png, waveforms.csv.")];
 
     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
         let clips = inputs.many::<Clip>("clips")?;
