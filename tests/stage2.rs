@@ -69,7 +69,7 @@ fn the_linear_map_fits_the_pulse_that_rasterising_every_step_fits() {
         quick_report.fundamental_pearson,
         slow_report.fundamental_pearson
     );
-    assert!(distance < 0.02, "the two modulations are {:.2} % apart", 100.0 * distance);
+    assert!(distance < 0.005, "the two modulations are {:.2} % apart", 100.0 * distance);
     assert!((quick_report.fundamental_pearson - slow_report.fundamental_pearson).abs() < 1e-4);
     assert!((p - q).abs() < 1e-3 && (a / b - 1.0).abs() < 0.02);
 

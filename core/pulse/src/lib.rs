@@ -4,16 +4,26 @@
 //! Phase is in radians, 0 at the systolic peak; offsets are in linear green albedo; all fitting is f64 except the
 //! network, which is f32 with an f64 twin. Everything is deterministic at any thread count.
 //!
-//! Differs from the paper, with the effect measured (`tests/table.rs` prints it again):
-//! - each iteration sees all frames at once and the decays are laid onto 3,000 of them instead of 60,000 (20 s clips:
-//!   Pearson of the fundamental 0.9995 against 0.9998, real wrist PPG 0.988 against 0.996; a twentieth of the time);
-//! - phase and waveform start from the reference's beats and average beat; from the mean rate, a rate that wanders loses
-//!   its turn (Pearson 0.98 on a wandering 20 s clip, 0.22 after 10 min, against 0.9995);
+//! Differs from the paper, with the effect measured (`tests/table.rs`, `tests/stage2.rs` and `heartian bench pulse` print
+//! it again):
+//! - each of the 60,000 iterations sees all frames, where the paper's sees one for L_base: 53 µs instead of a rendered
+//!   frame. Clips of more than 600 frames take fewer. A twentieth of them (`fast`) loses a little waveform: Pearson of the
+//!   fundamental 0.9995 against 0.9998 on a made-up 20 s, 0.958 against 0.965 and 0.988 against 0.996 on real PPG;
+//! - phase and waveform start from the reference's beats and average beat; the paper does not say from where. From the mean
+//!   rate (`to_the_letter`) a rate that wanders loses its turn: Pearson 0.984 on a wandering 20 s against 0.9997, 0.22 on
+//!   10 min against 0.9992, and a wrong rate on a real PPG (53 bpm off);
 //! - the modulation is centred, so that the mean colour stays the baseline's; A is learnt as a factor of its start,
-//!   between a floor and a ceiling, and bounded in 8-bit levels, since L_base alone would let it vanish;
-//! - L_base is a quadratic bound of the L1 of sRGB green over pooled cells, exact at zero modulation, without D-SSIM;
+//!   between a floor and a ceiling, and bounded in 8-bit levels, since L_base alone lets it vanish, as it does here too
+//!   wherever it is free: A always ends at its floor;
+//! - L_base comes from a linear map of albedo to cells of the picture, as a quadratic bound of the L1 of sRGB green, exact
+//!   at zero modulation, without D-SSIM: fitted to the end, the modulation is within 0.1 % of the one that rasterising
+//!   every step with all of L_base gives;
 //! - the network's blocks have one linear map each; its training losses see a Gaussian of each of four skin patches a
-//!   step, 300 steps (mean over all 6,000 Gaussians afterwards: Pearson ≥ 0.999 on real PPG).
+//!   step, 300 steps with the paper's decay laid onto them (mean over all 6,000 Gaussians afterwards: Pearson ≥ 0.999 on
+//!   real PPG);
+//! - θ_POS has its constant offset to the reference removed and is weighed by how well both keep step; it is dropped when
+//!   they do not, as when the pulse is another person's;
+//! - smoothness priors act at any frame rate as λ = 100 does at 30 Hz.
 
 mod adam;
 mod arrival;

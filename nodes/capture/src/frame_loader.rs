@@ -174,3 +174,41 @@ fn named(error: CaptureError) -> NodeError {
         None => node_error,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    /// A PPG file of that rate and length, 78 bpm.
+    fn file(rate_hertz: f64, seconds: f64) -> std::path::PathBuf {
+        let name = format!("heartian-loader-{}-{rate_hertz}-{seconds}.csv", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        let line = |k: usize| {
+            let time = k as f64 / rate_hertz;
+            format!("{time},{}\n", 500.0 + 40.0 * (std::f64::consts::TAU * 1.3 * time).sin())
+        };
+        let lines: String = (0..=(seconds * rate_hertz) as usize).map(line).collect();
+        std::fs::write(&path, format!("time_s,ppg\n{lines}")).unwrap();
+        path
+    }
+
+    #[test]
+    fn a_ppg_file_of_any_rate_that_reaches_over_the_clip_is_laid_on_its_clock() {
+        for (rate, seconds) in [(20.0, 3.0), (117.3, 2.0), (1000.0, 2.0), (25.0, 300.0)] {
+            let path = file(rate, seconds);
+            let ppg = Some(path.display().to_string());
+            let loader = FrameLoader { seconds: 2.0, size: 32, ppg, ..FrameLoader::default() };
+            let outputs = loader.run(&Inputs::new(), &Context::silent()).unwrap();
+            let series = |port: &str| outputs.get(port).unwrap().downcast::<Series>().unwrap();
+            assert_eq!(series("ppg_at_frames").len(), 60);
+            assert!((series("ppg").rate_hertz() / rate - 1.0).abs() < 0.01 && series("ppg").len() < 4 * rate as usize);
+            std::fs::remove_file(path).unwrap();
+        }
+        let path = file(100.0, 1.0);
+        let short = FrameLoader { seconds: 2.0, size: 32, ppg: Some(path.display().to_string()), ..Default::default() };
+        let error = short.run(&Inputs::new(), &Context::silent()).err().unwrap();
+        std::fs::remove_file(path).unwrap();
+        assert!(error.message.contains("seconds"), "{error:?}");
+    }
+}
