@@ -114,7 +114,6 @@ fn two_runs_started_together_compute_each_node_once() {
         assert_eq!(digests(&both[0]), digests(&both[1]));
         let ran: usize = both.iter().map(|nodes| count(nodes, "ran")).sum();
         assert_eq!(ran, 10, "{both:?}");
-        assert_eq!(std::fs::read_dir(bench.cache.root().join("locks")).unwrap().count(), 0, "locks are cleared away");
     }
 }
 

@@ -128,7 +128,6 @@ impl Cache {
 
     /// Files of killed runs, states of nodes nobody runs, lists of runs that are not kept.
     fn drop_leftovers(&self, runs: &[UsedKeys], options: &GcOptions, active_since: SystemTime) {
-        self.sweep_locks();
         for state in self.stored("checkpoints").iter().filter(|state| state.modified < active_since) {
             // A node on its way holds its claim.
             if matches!(self.try_claim(&state.digest), Ok(Some(_))) {
