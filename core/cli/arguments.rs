@@ -1,8 +1,12 @@
 //! What may be typed, and the help that teaches it.
 
+mod look;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
+
+pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments};
 
 use crate::bench::graph::GraphBench;
 use crate::sizes;
@@ -18,6 +22,8 @@ Start here:
   heartian run graphs/full.ron --set frames.source=me.mp4 --set frames.ppg=me.csv
   heartian run graphs/full.ron --set phase.heart_rate_bpm=96   tracker and trainer come from the cache
   heartian run graphs/no_residual.ron                       an ablation
+  heartian sweep graphs/full.ron --over 'phase.heart_rate_bpm=[60, 72, 96]'
+  heartian explain graphs/full.ron                          what would run now, and why
   heartian compare runs/full-* runs/no_residual-*           side by side
   heartian nodes PhaseModel                                 what a node does, reads, writes and can be told"
 )]
@@ -62,7 +68,23 @@ pub enum Command {
     Nodes {
         /// Which kind; all of them when left out
         kind: Option<String>,
+        /// As JSON
+        #[arg(long)]
+        json: bool,
     },
+    /// Print the JSON Schema of graph files, or of one kind's parameters
+    Schema {
+        /// Which kind's parameters; graph files as a whole when left out
+        kind: Option<String>,
+    },
+    /// Say for each node whether it is in the cache, and if not, what changed
+    Explain(ExplainArguments),
+    /// Run a graph at many values of its parameters and put the figures in one table
+    Sweep(SweepArguments),
+    /// Draw a graph
+    Graph(DrawArguments),
+    /// Show the latest runs, what is running, and the cache
+    Status(StatusArguments),
     /// Put the metrics of several runs side by side, and what each changes against the first
     #[command(after_help = "\
 Example:

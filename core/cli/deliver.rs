@@ -39,6 +39,10 @@ pub struct Delivered {
     pub damaged: bool,
     /// One line each.
     pub warnings: Vec<String>,
+    /// The artifact that each figure stands in.
+    pub origins: BTreeMap<String, Digest>,
+    /// Files in the folder, and the artifact that each was made of.
+    pub files: BTreeMap<String, Digest>,
 }
 
 /// `metrics.json`. Keys are stable: later versions add and never rename.
@@ -129,6 +133,9 @@ pub fn deliver(delivery: &Delivery<'_>, reports: &[NodeReport], folder: &Path) -
     }
     courier.sweep();
     courier.write_reports(reports)?;
+    for entry in courier.now.values() {
+        courier.done.files.extend(entry.files.keys().map(|path| (path.clone(), entry.digest)));
+    }
     Ok(courier.done)
 }
 
@@ -159,6 +166,7 @@ impl Courier<'_> {
             return Ok(());
         };
         for (key, value) in &metrics.0 {
+            self.done.origins.insert(key.clone(), *digest);
             let clash =
                 self.done.metrics.insert(key.clone(), *value).is_some_and(|other| other.to_bits() != value.to_bits());
             if clash {
@@ -285,9 +293,15 @@ fn line(report: &NodeReport) -> NodeLine {
     }
 }
 
-fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+/// Writes a value as JSON, as [`write_text`] does.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     let mut text = serde_json::to_string_pretty(value).into_diagnostic()?;
     text.push('\n');
+    write_text(path, &text)
+}
+
+/// Writes a text beside its place and renames it into it.
+pub fn write_text(path: &Path, text: &str) -> Result<()> {
     write(path, |file| file.write_all(text.as_bytes()))
 }
 

@@ -8,17 +8,23 @@ mod audit;
 mod avi;
 mod bench;
 mod cache;
+mod clock;
 mod compare;
 mod deliver;
+mod draw;
+mod explain;
 mod manual;
 mod models;
 mod paired;
 mod plugins;
 mod progress;
+mod provenance;
 mod run;
 mod session;
 mod sizes;
+mod status;
 mod summary;
+mod sweep;
 
 use std::process::ExitCode;
 
@@ -35,7 +41,12 @@ fn main() -> ExitCode {
     let done = match arguments.command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Check(arguments) => run::check(&arguments),
-        Command::Nodes { kind } => manual::print(kind.as_deref()),
+        Command::Nodes { kind, json } => manual::print(kind.as_deref(), json),
+        Command::Schema { kind } => manual::schema(kind.as_deref()),
+        Command::Explain(arguments) => explain::explain(&arguments),
+        Command::Sweep(arguments) => sweep::sweep(&arguments),
+        Command::Graph(arguments) => draw::draw(&arguments),
+        Command::Status(arguments) => status::print(&arguments),
         Command::Compare { runs, plot } => compare::print(&runs, plot.as_deref()),
         Command::Cache(arguments) => cache::act(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),

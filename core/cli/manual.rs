@@ -3,16 +3,25 @@
 use std::fmt::Write;
 use std::process::ExitCode;
 
-use heartian_graph::{NodeKind, ParamDoc, Port};
-use miette::{Result, miette};
-use serde_json::Value;
+use heartian_graph::{NodeKind, ParamDoc, Port, Registry};
+use miette::{IntoDiagnostic, Result, miette};
+use serde_json::{Value, json};
 
 use crate::plugins;
 use crate::summary::table;
 
 /// Prints the list of kinds, or one kind's manual.
-pub fn print(kind: Option<&str>) -> Result<ExitCode> {
+pub fn print(kind: Option<&str>, json: bool) -> Result<ExitCode> {
     let registry = plugins::registry()?;
+    if json {
+        let kinds: Vec<&NodeKind> = match kind {
+            Some(name) => vec![find(registry, name)?],
+            None => registry.iter().collect(),
+        };
+        let all: Vec<Value> = kinds.into_iter().map(describe).collect();
+        let one = kind.and_then(|_| all.first().cloned());
+        return print_json(&one.unwrap_or(Value::Array(all)));
+    }
     let Some(name) = kind else {
         let widest = registry.iter().map(|kind| kind.kind.len()).max().unwrap_or(0);
         for kind in registry.iter() {
@@ -22,13 +31,55 @@ pub fn print(kind: Option<&str>) -> Result<ExitCode> {
         println!("\n`heartian nodes KIND` prints the manual of one.");
         return Ok(ExitCode::SUCCESS);
     };
-    let found = registry.get(name).or_else(|| registry.iter().find(|kind| kind.kind.eq_ignore_ascii_case(name)));
-    let Some(kind) = found else {
-        let known: Vec<&str> = registry.iter().map(|kind| kind.kind).collect();
-        return Err(miette!(help = format!("kinds: {}", known.join(", ")), "there is no kind of node `{name}`"));
-    };
-    print!("{}", page(kind));
+    print!("{}", page(find(registry, name)?));
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints the JSON Schema of graph files, or of one kind's parameters.
+pub fn schema(kind: Option<&str>) -> Result<ExitCode> {
+    let registry = plugins::registry()?;
+    match kind {
+        Some(name) => print_json(&heartian_graph::kind_schema(find(registry, name)?)),
+        None => print_json(&heartian_graph::schema(registry)),
+    }
+}
+
+fn print_json(value: &Value) -> Result<ExitCode> {
+    println!("{}", serde_json::to_string_pretty(value).into_diagnostic()?);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn find<'r>(registry: &'r Registry, name: &str) -> Result<&'r NodeKind> {
+    let found = registry.get(name).or_else(|| registry.iter().find(|kind| kind.kind.eq_ignore_ascii_case(name)));
+    found.ok_or_else(|| {
+        let known: Vec<&str> = registry.iter().map(|kind| kind.kind).collect();
+        miette!(help = format!("kinds: {}", known.join(", ")), "there is no kind of node `{name}`")
+    })
+}
+
+/// All that a program may want to know of a kind.
+fn describe(kind: &NodeKind) -> Value {
+    let port = |port: &Port| {
+        json!({"name": port.name, "artifact": port.artifact.name, "version": port.artifact.version, "doc": port.doc,
+               "many": port.many, "required": port.required})
+    };
+    let defaults = kind.default_node().values().unwrap_or_default();
+    let param = |param: &ParamDoc| {
+        let bound = |value: f64| value.is_finite().then_some(value);
+        json!({"name": param.name, "type": param.type_name, "doc": param.text(), "unit": param.unit,
+               "default": defaults.get(param.name), "minimum": param.range.and_then(|range| bound(range.0)),
+               "maximum": param.range.and_then(|range| bound(range.1)), "choices": param.choices, "keyed": param.keyed})
+    };
+    json!({
+        "kind": kind.kind,
+        "revision": kind.revision,
+        "implementation": kind.implementation,
+        "doc": paragraph(kind.doc),
+        "inputs": kind.inputs.iter().map(port).collect::<Vec<_>>(),
+        "outputs": kind.outputs.iter().map(port).collect::<Vec<_>>(),
+        "params": kind.params.iter().map(param).collect::<Vec<_>>(),
+        "schema": heartian_graph::kind_schema(kind),
+    })
 }
 
 fn paragraph(doc: &str) -> String {

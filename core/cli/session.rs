@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use heartian_graph::{Cache, Cancel, Graph, NodeReport, Plan, Problem, Run, RunOptions, Status};
 use miette::{Result, miette};
@@ -11,6 +11,8 @@ use miette::{Result, miette};
 use crate::arguments::HostArguments;
 use crate::deliver::{Delivered, Delivery, deliver};
 use crate::progress::Terminal;
+use crate::provenance::{self, Story};
+use crate::status::Marker;
 
 /// How often results that turn out damaged in the cache are recomputed before giving up.
 const DELIVERIES: usize = 3;
@@ -70,21 +72,27 @@ impl Session {
 
     /// Runs a plan; results stay in the cache.
     pub fn execute(&self, run: &Run<'_>) -> Vec<NodeReport> {
-        quietly(|| run.execute(&self.options))
+        Self::watched(run, &self.options)
+    }
+
+    fn watched(run: &Run<'_>, options: &RunOptions) -> Vec<NodeReport> {
+        quietly(|| run.execute(options))
     }
 
     /// Runs a plan and leaves its results in a folder.
     pub fn carry_out(&self, job: &Job<'_>) -> Result<Done> {
-        let start = Instant::now();
+        let (start, begun) = (Instant::now(), SystemTime::now());
         let Job { graph, sets, plan, out } = job;
         let run = Run::prepare(plan, &self.cache);
         let fingerprint = run.fingerprint();
         let named = || Path::new("runs").join(format!("{}-{}", file_name(&plan.name), &fingerprint.to_string()[..8]));
         let folder = out.map_or_else(named, Path::to_owned);
+        let marker = Arc::new(Marker::new(&folder, plan.nodes.len(), self.options.observer.clone()));
+        let options = RunOptions { observer: marker, ..self.options.clone() };
         let mut reports: Vec<NodeReport> = Vec::new();
         let mut attempts = 0;
         let delivered = loop {
-            reports = merge(reports, self.execute(&run));
+            reports = merge(reports, Self::watched(&run, &options));
             if self.cancelled() {
                 break Delivered::default();
             }
@@ -100,6 +108,19 @@ impl Session {
                 return Err(miette!(help = help, "`{root}` does not keep what is written to it"));
             }
         };
+        let story = Story {
+            graph,
+            sets,
+            plan,
+            cache: &self.cache,
+            reports: &reports,
+            delivered: &delivered,
+            start: begun,
+            end: SystemTime::now(),
+        };
+        if !self.cancelled() {
+            provenance::write(&story, &folder)?;
+        }
         let problems = reports.iter().filter_map(|report| report.problem(plan)).collect();
         Ok(Done { folder, reports, delivered, problems, start })
     }
