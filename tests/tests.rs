@@ -1,6 +1,7 @@
 //! The integration tests of the house, in modules by intent.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+mod commands;
 mod graphs;
 mod house;
 mod laws;

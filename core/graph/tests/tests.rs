@@ -6,6 +6,7 @@ mod caching;
 mod errors;
 mod explaining;
 mod failures;
+mod fuzz;
 mod nodes;
 mod overlays;
 mod parallel;

@@ -1,6 +1,7 @@
 //! Files that extend files: reading the chain, and merging it from the base upwards.
 
 use std::collections::{HashMap, HashSet};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -41,11 +42,17 @@ impl Part {
 }
 
 pub(super) fn read_text(path: &Path) -> Result<String, String> {
-    let size = std::fs::metadata(path).map_err(|error| error.to_string())?.len();
-    if size > BYTES_LIMIT {
-        return Err(format!("it has {size} bytes; a graph has at most {BYTES_LIMIT}"));
+    let metadata = std::fs::metadata(path).map_err(|error| error.to_string())?;
+    // A device or a pipe may never end.
+    if !metadata.is_file() {
+        return Err("it is not a file".to_owned());
     }
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let mut bytes = Vec::with_capacity(usize::try_from(metadata.len().min(BYTES_LIMIT)).unwrap_or(0));
+    let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
+    file.take(BYTES_LIMIT + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    if bytes.len() as u64 > BYTES_LIMIT {
+        return Err(format!("it has more than {BYTES_LIMIT} bytes"));
+    }
     String::from_utf8(bytes).map_err(|error| format!("it is not UTF-8 text ({error})"))
 }
 
