@@ -26,8 +26,8 @@
 //!     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
 //!         let mut files = Files::new();
 //!         inputs.many::<Files>("before")?.iter().for_each(|before| files.extend(before));
-//!         let greeting = format!("Hello {}! ", self.name).repeat(self.times as usize);
-//!         Ok(Outputs::new().put("files", files.with("greeting.txt", greeting.into_bytes())?))
+//!         let greeting = format!("Hello {}! ", self.name).repeat(self.times as usize).into_bytes();
+//!         Ok(Outputs::new().put("files", files.with("greeting.txt", greeting)?))
 //!     }
 //! }
 //! ```
@@ -61,10 +61,8 @@ pub use diagnostic::{Place, Problem, Problems, Source};
 pub use digest::Digest;
 pub use files::Files;
 pub use graph::{Graph, GraphError};
-pub use insight::{
-    Cause, Change, Entry, Explainer, Explanation, Forecast, History, PastNode, Standing, Subject, Sweep,
-};
-pub use insight::{changes, subjects_of_plan, subjects_of_run};
+pub use insight::{Cause, Change, Entry, Explainer, Explanation, PastNode, Standing, Subject};
+pub use insight::{Forecast, History, Sweep, changes, subjects_of_plan, subjects_of_run};
 pub use node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
 pub use params::{ParamDoc, Params};
 pub use picture::{Picture, Tint};
@@ -73,7 +71,6 @@ pub use plugin::{
     HostCommand, Plugin, PluginError, PluginLimits, PluginLock, Plugins, TrustedPlugin, plugin_files, serve_plugin,
 };
 pub use registry::{ErasedNode, NodeKind, Registry};
-
 pub use scheduler::{AuditReport, NodeReport, Preview, Run, RunOptions, Verdict, load};
 pub use schema::{kind_schema, schema};
 pub use syntax::Span;

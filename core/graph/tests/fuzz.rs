@@ -94,7 +94,13 @@ fn campaign(seeds: &[Vec<u8>], words: &[&[u8]], long: bool, target: &dyn Fn(&[u8
         let survived = catch_unwind(AssertUnwindSafe(|| target(&input))).is_ok();
         let shown = String::from_utf8_lossy(&input);
         assert!(survived, "execution {done} panicked on {input:?}\n{shown}");
-        assert!(begun.elapsed() < SLOW, "execution {done} took {:?} on {shown}", begun.elapsed());
+        // Once may be the machine's doing; three times is the input's.
+        let again = || {
+            let begun = Instant::now();
+            target(&input);
+            begun.elapsed() >= SLOW
+        };
+        assert!(begun.elapsed() < SLOW || !(again() && again()), "execution {done} is slow on {shown}");
         done += 1;
     }
     let peak = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
