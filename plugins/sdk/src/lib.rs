@@ -51,3 +51,8 @@ pub use params::{ParamDoc, ParamType, Params};
 
 #[doc(hidden)]
 pub use {heartian_plugin_abi as abi, serde};
+
+/// The page for strangers: its example must compile.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;
