@@ -4,10 +4,12 @@
 mod commands;
 mod graphs;
 mod house;
+mod interrupt;
 mod laws;
 mod pipeline;
 mod plugins;
 mod results;
+mod revisions;
 mod stage2;
 
 // Linked for the nodes they register.

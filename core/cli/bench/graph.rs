@@ -9,6 +9,7 @@ mod shapes;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
+use std::time::Duration;
 
 use clap::Args;
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
@@ -25,6 +26,9 @@ const BYTES: u64 = 1 << 20;
 const RUNS: usize = 21;
 /// Cached runs of the large one.
 const FEW_RUNS: usize = 5;
+
+/// See [`Bench::remove`].
+const FORGETTING: Duration = Duration::from_secs(6);
 
 /// How the engine is measured.
 #[derive(Args)]
@@ -74,7 +78,9 @@ struct Findings {
 }
 
 impl Findings {
+    /// Adds a line, and says it at once: some figures take minutes.
     fn add(&mut self, what: &str, (key, value): (&str, Value), figure: String, promise: &str) {
+        eprintln!("{}: {figure}", what.trim());
         self.rows.push([what.to_owned(), figure, promise.to_owned()]);
         self.json.insert(key.to_owned(), value);
     }
@@ -147,8 +153,11 @@ impl Bench {
         Err(miette!("a run failed that should not:\n{}", String::from_utf8_lossy(&output.stderr)))
     }
 
+    /// Removes a folder of many files, and waits until the file system forgets: ext4 does not use the place of a file
+    /// again for five seconds and searches past all such places, which would be charged to the next run.
     fn remove(&self, name: &str) {
         let _ = std::fs::remove_dir_all(self.path(name));
+        std::thread::sleep(FORGETTING);
     }
 }
 

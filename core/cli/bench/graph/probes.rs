@@ -54,7 +54,6 @@ fn same_bytes(bench: &Bench, findings: &mut Findings) -> Result<()> {
     run(bench, "same.ron", "same")?;
     bench.write("same.ron", &empty(99))?;
     let ran = run(bench, "same.ron", "same")?.ran;
-    bench.remove("same");
     findings.add("c changes, writes the same bytes: runs", ("same_bytes_ran", json!(ran)), who(&ran), "only c");
     Ok(())
 }
@@ -98,7 +97,6 @@ fn two_at_once(bench: &Bench, findings: &mut Findings) -> Result<()> {
         child.wait().into_diagnostic()?;
     }
     let ran = [told(bench, graphs[0])?.ran.len(), told(bench, graphs[1])?.ran.len()];
-    bench.remove("both");
     let figure = format!("{} + {} = {} of 40", ran[0], ran[1], ran[0] + ran[1]);
     findings.add("two runs on one cold cache: nodes computed", ("two_runs", json!(ran)), figure, "each once: 40");
     Ok(())
@@ -111,19 +109,18 @@ fn killed(bench: &Bench, kills: u32, findings: &mut Findings) -> Result<()> {
     let mut right = 0;
     let mut redone = 0;
     for kill in 0..kills {
-        bench.remove("kill");
-        let mut child = quiet(bench.run("kill.ron", "kill")).spawn().into_diagnostic()?;
+        let cache = format!("kill-{kill}");
+        let mut child = quiet(bench.run("kill.ron", &cache)).spawn().into_diagnostic()?;
         // Evenly over the run, in an order without pattern.
         let share = f64::from(kill.wrapping_mul(2_654_435_769)) / f64::from(u32::MAX);
         std::thread::sleep(Duration::from_secs_f64(cold * share));
         // One that has ended already cannot be killed.
         let _ = child.kill();
         child.wait().into_diagnostic()?;
-        let next = run(bench, "kill.ron", "kill")?;
+        let next = run(bench, "kill.ron", &cache)?;
         right += u32::from(next.outputs == expected);
         redone += next.ran.len();
     }
-    bench.remove("kill");
     let each = redone as f64 / f64::from(kills);
     let figure = format!("{right} of {kills} next runs right, {each:.1} of 40 nodes run again");
     let value = json!({"kills": kills, "right": right, "mean_nodes_run_again": each});
