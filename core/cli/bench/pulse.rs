@@ -90,6 +90,10 @@ fn pooled(figures: &[Figures]) -> Pooled {
         ("attribute.waveform_pearson", named("with.attribute.waveform_pearson")),
         ("attribute.macc", named("with.attribute.macc")),
         ("rendered.pos.hr_mae_bpm", named("decode.rendered.pos.hr_error_bpm")),
+        // POS band-passes twice; a slow pulse with a strong dicrotic wave may come out as its second harmonic.
+        ("rendered.pos.octave_errors", figures.iter().filter(|f| is_octave_error(f)).count() as f64),
+        ("rendered.chrom.hr_mae_bpm", named("decode.rendered.chrom.hr_error_bpm")),
+        ("rendered.omit.hr_mae_bpm", named("decode.rendered.omit.hr_error_bpm")),
         ("rendered.pos.snr_db", named("decode.rendered.pos.snr_db")),
         ("baseline_rendered.pos.hr_mae_bpm", named("decode.baseline_rendered.pos.hr_error_bpm")),
         ("delta.psnr_db", mean(&|f| f.cost("psnr_db"))),
@@ -97,6 +101,12 @@ fn pooled(figures: &[Figures]) -> Pooled {
         ("baseline.psnr_db", named("render.baseline.psnr_db")),
         ("pulse.levels_8bit", named("phase.phase.levels_8bit")),
     ]
+}
+
+/// Whether POS reads about twice the rate that was written.
+fn is_octave_error(figures: &Figures) -> bool {
+    let ratio = figures.get("decode.rendered.pos.hr_bpm") / figures.get("with.reference.hr_bpm");
+    (1.9..2.1).contains(&ratio)
 }
 
 /// One row a recording, for JSON.
