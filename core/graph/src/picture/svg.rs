@@ -2,22 +2,27 @@
 
 use std::fmt::Write;
 
-use super::layout::{Measures, lay_out};
+use super::layout::{Layout, Measures, lay_out};
 use super::{Picture, Tint};
 
 /// Height of a box, px.
 const BOX: f64 = 44.0;
 /// Width of an average character of 14 px text, generously, px.
 const CHARACTER: f64 = 8.2;
+/// Room of an arriving wire's label, px.
+const ARRIVAL: f64 = 44.0;
 const MEASURES: Measures = Measures { gap: 26.0, layer: 108.0, margin: 24.0 };
 
 pub(super) fn draw(picture: &Picture) -> String {
-    let width = |(id, kind, _): &(String, &str, Tint)| {
+    let mut wires = vec![0usize; picture.nodes.len()];
+    picture.edges.iter().for_each(|edge| wires[edge.to] += 1);
+    let width = |((id, kind, _), wires): (&(String, &str, Tint), &usize)| {
         let characters = id.chars().count().max(kind.chars().count());
-        (characters as f64 * CHARACTER + 24.0).max(84.0)
+        (characters as f64 * CHARACTER + 24.0).max(84.0).max(*wires as f64 * ARRIVAL)
     };
-    let widths: Vec<f64> = picture.nodes.iter().map(width).collect();
+    let widths: Vec<f64> = picture.nodes.iter().zip(&wires).map(width).collect();
     let layout = lay_out(&widths, &picture.edges, &MEASURES);
+    let (leaves, arrives) = (spread(picture, &layout, &widths, false), spread(picture, &layout, &widths, true));
     let legend = legend(picture);
     let (all_width, height) = (layout.width.max(legend.1 + 48.0), layout.height + 28.0);
     let mut text = format!(
@@ -27,25 +32,21 @@ pub(super) fn draw(picture: &Picture) -> String {
         escape(&picture.name)
     );
     let mut labels = String::new();
-    for (edge, bends) in picture.edges.iter().zip(&layout.bends) {
+    for (at, (edge, bends)) in picture.edges.iter().zip(&layout.bends).enumerate() {
         let color = picture.wire_color(edge);
-        let (fx, fy) = layout.centers[edge.from];
-        let (tx, ty) = layout.centers[edge.to];
-        let mut path: Vec<(f64, f64)> = vec![(fx, fy + BOX / 2.0)];
+        let ((fx, _), (tx, rank)) = (leaves[at], arrives[at]);
+        let (fy, ty) = (layout.centers[edge.from].1 + BOX / 2.0, layout.centers[edge.to].1 - BOX / 2.0);
+        let mut path: Vec<(f64, f64)> = vec![(fx, fy)];
         path.extend(bends);
-        path.push((tx, ty - BOX / 2.0 - 5.0));
+        path.push((tx, ty - 5.0));
         let _ = writeln!(text, "<path d=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1.4\"/>", curve(&path));
-        let (x, y) = (tx, ty - BOX / 2.0);
-        let _ = writeln!(text, "<path d=\"M{:.1} {:.1}l-4 -7h8z\" fill=\"{color}\"/>", x, y);
-        // Near the consumer, where wires from one producer have parted.
-        let (from, to) = (path[path.len() - 2], path[path.len() - 1]);
-        let at = |a: f64, b: f64| a + (b - a) * 0.62;
+        let _ = writeln!(text, "<path d=\"M{tx:.1} {ty:.1}l-4 -7h8z\" fill=\"{color}\"/>");
+        // Just above the arrow, neighbours at different heights.
         let _ = writeln!(
             labels,
-            "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"10.5\" text-anchor=\"middle\" fill=\"{color}\" stroke=\"#ffffff\" \
-             stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
-            at(from.0, to.0),
-            at(from.1, to.1) + 3.0,
+            "<text x=\"{tx:.1}\" y=\"{:.1}\" font-size=\"10.5\" text-anchor=\"middle\" fill=\"{color}\" \
+             stroke=\"#ffffff\" stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
+            ty - 11.0 - 12.0 * (rank % 2) as f64,
             escape(&edge.types.join(", "))
         );
     }
@@ -67,6 +68,27 @@ pub(super) fn draw(picture: &Picture) -> String {
     }
     let _ = writeln!(text, "{labels}<g transform=\"translate(24 {:.0})\">\n{}</g>\n</svg>", height - 30.0, legend.0);
     text
+}
+
+/// Where each wire leaves or arrives at its box, and which it is there from the left: side by side, in the order of
+/// where they come from.
+fn spread(picture: &Picture, layout: &Layout, widths: &[f64], arriving: bool) -> Vec<(f64, usize)> {
+    let mut at_box: Vec<Vec<(f64, usize)>> = vec![Vec::new(); picture.nodes.len()];
+    for (index, (edge, bends)) in picture.edges.iter().zip(&layout.bends).enumerate() {
+        let (own, other, next) =
+            if arriving { (edge.to, edge.from, bends.last()) } else { (edge.from, edge.to, bends.first()) };
+        at_box[own].push((next.map_or(layout.centers[other].0, |point| point.0), index));
+    }
+    let mut found = vec![(0.0, 0); picture.edges.len()];
+    for (node, wires) in at_box.iter_mut().enumerate() {
+        wires.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let step = (widths[node] - 16.0) / wires.len() as f64;
+        for (rank, (_, index)) in wires.iter().enumerate() {
+            let offset = (rank as f64 + 0.5) * step - (widths[node] - 16.0) / 2.0;
+            found[*index] = (layout.centers[node].0 + offset, rank);
+        }
+    }
+    found
 }
 
 /// A smooth line through points, leaving and arriving vertically.
