@@ -3,13 +3,15 @@
 use heartian_space::Rgb8Image;
 use plotters::chart::ChartBuilder;
 use plotters::coord::combinators::IntoLogRange;
-use plotters::prelude::{Circle, Color, IntoFont, LineSeries, RGBColor, ShapeStyle, Text};
+use plotters::prelude::{Circle, Color, EmptyElement, IntoFont, LineSeries, RGBColor, ShapeStyle, Text};
 
 use crate::ReportError;
 use crate::canvas::{FONT, draw_on, drawing};
 use crate::figure::PALETTE;
 
 const SIZE_PX: (usize, usize) = (1200, 760);
+/// How far below a point its words start.
+const STAGGER_PX: [i32; 4] = [-7, 10, -24, 27];
 
 /// One setting.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +61,11 @@ pub fn trade_off_figure(points: &[TradeOff], error: &str) -> Result<Rgb8Image, R
             let dots = of_group().map(|p| Circle::new((p.seconds, p.error), 5, color.filled()));
             chart.draw_series(dots).map_err(drawing)?;
             let font = (FONT, 14).into_font().color(&color.to_rgba());
-            let words = of_group().map(|p| Text::new(format!("  {}", p.label), (p.seconds, p.error), font.clone()));
+            // Words of neighbouring points at different heights, so that one can be read beside the other.
+            let words = of_group().enumerate().map(|(k, p)| {
+                let below = STAGGER_PX[(k + index) % STAGGER_PX.len()];
+                EmptyElement::at((p.seconds, p.error)) + Text::new(p.label.clone(), (8, below), font.clone())
+            });
             chart.draw_series(words).map_err(drawing)?;
         }
         Ok(())
