@@ -64,7 +64,7 @@ pub fn recordings(count: usize, ppg: &[PathBuf], folder: &Path) -> Result<Vec<Re
         let (pulse, sets) = match windows.get(k) {
             Some((name, file)) => (name.clone(), vec![format!("ppg={}", file.display()), "motion=0.7".to_owned()]),
             None => {
-                let bpm = 58 + 7 * (k * 3 % MOVING);
+                let bpm = 64 + 7 * (k * 3 % MOVING);
                 let sets = [format!("heart_rate_bpm={bpm}"), "hrv_ms=60".to_owned(), "motion=0.7".to_owned()];
                 ("moving".to_owned(), sets.to_vec())
             }
