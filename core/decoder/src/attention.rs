@@ -45,7 +45,7 @@ pub struct Attention {
 }
 
 /// Moves θ times the temporal border taps' sum to the centre: the difference term is a pointwise convolution with it.
-fn temporal_difference(mut affine: Affine, theta: f32) -> Affine {
+pub fn temporal_difference(mut affine: Affine, theta: f32) -> Affine {
     for kernel in affine.weights.as_chunks_mut::<27>().0 {
         let border: f64 = kernel[..9].iter().chain(&kernel[18..]).map(|w| f64::from(*w)).sum();
         kernel[13] = (f64::from(kernel[13]) - f64::from(theta) * border) as f32;

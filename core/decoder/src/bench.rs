@@ -129,6 +129,30 @@ fn gflop(architecture: Architecture, frames: usize, side: usize) -> f64 {
     2e-9 * multiplications
 }
 
+/// The largest rate of the matrix product on all threads at once, 10⁹ operations a second: a network's [`Timing::gflop`]
+/// over it is the time below which no direct evaluation can come (pairing saves up to a third of the multiplications).
+///
+/// # Errors
+/// Never: the sizes agree.
+pub fn product_gflops() -> Result<f64, DecoderError> {
+    use heartian_ops::{Filter, linear};
+    const SIDE: usize = 384;
+    const ROUNDS: usize = 8;
+    let values: Vec<f32> = (0..SIDE * SIDE).map(|i| (i % 17) as f32).collect();
+    let rates = rayon::broadcast(|_| -> Result<f64, DecoderError> {
+        let mut out = vec![0.0; SIDE * SIDE];
+        let mut best = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let start = Instant::now();
+            linear(&values, Filter { weights: &values, bias: &[] }, &mut out, [SIDE; 3])?;
+            best = best.min(start.elapsed().as_secs_f64());
+        }
+        std::hint::black_box(out);
+        Ok(2e-9 * (SIDE as f64).powi(3) / best)
+    });
+    rates.into_iter().sum()
+}
+
 /// Names and shapes of all tensors at the published size.
 fn shapes(architecture: Architecture) -> Vec<(String, Vec<usize>)> {
     let mut list = Shapes(Vec::new());

@@ -69,3 +69,48 @@ pub fn layer_norm(rows: &[f32], gain: &[f32], offset: &[f32]) -> Vec<f32> {
     }
     out
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// Mean and deviation in f64, two passes.
+    fn exact(values: &[f32], epsilon: f64) -> Vec<f64> {
+        let n = values.len() as f64;
+        let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / n;
+        let variance = values.iter().map(|v| (f64::from(*v) - mean).powi(2)).sum::<f64>() / n;
+        values.iter().map(|v| (f64::from(*v) - mean) / (variance + epsilon).sqrt()).collect()
+    }
+
+    #[test]
+    fn channels_far_from_zero_are_normalised_too() {
+        let extent = Extent { frames: 7, channels: 3, height: 5, width: 19 };
+        let each = extent.values() / 3;
+        let levels = [0.0, 100.0, -0.999];
+        let spreads = [1.0, 0.5, 1e-3];
+        let dense: Vec<f32> =
+            (0..extent.values()).map(|i| levels[i / each] + spreads[i / each] * (i as f32 * 0.7).sin()).collect();
+        let mut volume = Volume::from_dense(extent, 1, &dense, false).unwrap();
+        instance_norm(&mut volume);
+        let got = volume.to_dense();
+        for c in 0..3 {
+            let want = exact(&dense[c * each..(c + 1) * each], INSTANCE_EPSILON);
+            for (got, want) in got[c * each..].iter().zip(want) {
+                assert!((f64::from(*got) - want).abs() < 2e-5, "channel {c}: {got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_are_normalised_by_themselves() {
+        let rows: Vec<f32> = (0..24).map(|i| (i as f32).cos() + 5.0).collect();
+        let (gain, offset): (Vec<f32>, Vec<f32>) = (0..8).map(|i| (1.0 + i as f32, 0.1 * i as f32)).unzip();
+        let got = layer_norm(&rows, &gain, &offset);
+        for (row, got) in rows.chunks(8).zip(got.chunks(8)) {
+            for (c, want) in exact(row, 1e-6).into_iter().enumerate() {
+                assert!((f64::from(got[c]) - (want * f64::from(gain[c]) + f64::from(offset[c]))).abs() < 1e-5);
+            }
+        }
+    }
+}

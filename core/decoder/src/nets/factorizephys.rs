@@ -63,12 +63,7 @@ impl Block {
         padding: [usize; 2],
     ) -> Result<Self, DecoderError> {
         let affine = parts.affine(&format!("{name}.conv_block_3d.0"), &[outputs, inputs, 3, 3, 3], false)?;
-        let convolution = if halves {
-            let by_phase = by_phase(&affine.weights, inputs, outputs);
-            PairedConvolution::new(&by_phase, &[], [outputs, 4 * inputs], [2, 2])?
-        } else {
-            affine.paired(inputs)?
-        };
+        let convolution = if halves { halving(&affine.weights, [inputs, outputs])? } else { affine.paired(inputs)? };
         Ok(Self { convolution, halves, padding })
     }
 
@@ -261,7 +256,7 @@ fn differences(frames: &Volume) -> Volume {
 }
 
 /// Every channel as four: its even and odd rows and columns. A window of 3 that steps by 2 becomes one of 2 that steps by 1.
-fn phases(input: &Volume) -> Volume {
+pub fn phases(input: &Volume) -> Volume {
     let from = input.extent();
     let extent =
         Extent { channels: 4 * from.channels, height: from.height.div_ceil(2), width: from.width.div_ceil(2), ..from };
@@ -281,7 +276,7 @@ fn phases(input: &Volume) -> Volume {
 }
 
 /// Weights `outputs × inputs × 3 × 3 × 3` for the channels of [`phases`]: `outputs × 4·inputs × 3 × 2 × 2`.
-fn by_phase(weights: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
+pub fn halving(weights: &[f32], [inputs, outputs]: [usize; 2]) -> Result<PairedConvolution, DecoderError> {
     let mut split = vec![0.0; outputs * inputs * 4 * 12];
     for plane in 0..outputs * inputs {
         for t in 0..3 {
@@ -291,7 +286,7 @@ fn by_phase(weights: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
             }
         }
     }
-    split
+    Ok(PairedConvolution::new(&split, &[], [outputs, 4 * inputs], [2, 2])?)
 }
 
 /// The trainer's last step: the batch's samples less their mean, over their standard deviation (n − 1).

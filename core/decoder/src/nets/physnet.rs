@@ -101,7 +101,7 @@ fn dot(left: &[f32], right: &[f32]) -> f32 {
 
 /// A transposed convolution of four taps, step 2, one frame cut at each end: frame 2m takes taps 3 and 1 of frames m − 1 and
 /// m, frame 2m + 1 taps 2 and 0 of frames m and m + 1.
-fn doubling(parts: &Parts<'_>, name: &str) -> Result<[Convolution; 2], DecoderError> {
+pub fn doubling(parts: &Parts<'_>, name: &str) -> Result<[Convolution; 2], DecoderError> {
     let weights = parts.tensor(&format!("{name}.0.weight"), &[WIDTH, WIDTH, 4, 1, 1])?;
     let bias = parts.tensor(&format!("{name}.0.bias"), &[WIDTH])?;
     let norm = parts.norm(&format!("{name}.1"), WIDTH)?;
@@ -117,7 +117,8 @@ fn doubling(parts: &Parts<'_>, name: &str) -> Result<[Convolution; 2], DecoderEr
     Ok([phase([3, 1])?, phase([2, 0])?])
 }
 
-fn doubled(pair: &[Convolution; 2], input: &Volume) -> Result<Volume, DecoderError> {
+/// Twice the frames.
+pub fn doubled(pair: &[Convolution; 2], input: &Volume) -> Result<Volume, DecoderError> {
     let frames = input.extent().frames;
     let phase = |convolution: &Convolution, delay: usize| {
         let kernel = convolution.into();
