@@ -218,3 +218,36 @@ fn parameters_are_checked_like_built_in_ones() {
         assert_eq!(said.code, Some(0), "{set}: {}", said.stderr);
     }
 }
+
+/// Ctrl-C does not wait for a library that hangs; and when the program itself is killed, its workers go too.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_hanging_library_holds_nobody_up() {
+    let place = Place::new();
+    let file = place.faulty("hang");
+    let graph = place.write("hang.ron", "Graph(name: \"hang\", nodes: {\"bad\": (kind: \"Faulty\")})");
+    let workers = || {
+        let folders = std::fs::read_dir("/proc").unwrap().flatten();
+        let lines = folders.filter_map(|folder| std::fs::read(folder.path().join("cmdline")).ok());
+        lines.filter(|line| String::from_utf8_lossy(line).contains(&format!("plugin-host\0{}", file.display()))).count()
+    };
+    let until = |what: &dyn Fn() -> bool| {
+        let start = Instant::now();
+        while !what() {
+            assert!(start.elapsed() < Duration::from_secs(20), "waited in vain");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    for signal in ["INT", "KILL"] {
+        let arguments = ["run", graph.to_str().unwrap(), "--plugin", file.to_str().unwrap(), "--out", "out"];
+        let mut child = place.command().args(arguments).spawn().unwrap();
+        until(&|| workers() == 1 && place.path("remembered/heartian/plugins").is_dir());
+        // What is remembered is written after describing, and the handler set before the first node starts.
+        std::thread::sleep(Duration::from_millis(500));
+        let sent = std::process::Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+        let ended = child.wait().unwrap();
+        assert_eq!(ended.code(), (signal == "INT").then_some(130), "{signal}: {ended}");
+        until(&|| workers() == 0);
+    }
+}
