@@ -34,7 +34,7 @@ impl Real for f32 {
         f64::from(self)
     }
     fn tanh(values: &mut [Self]) {
-        tanh_in_place(values);
+        heartian_ops::activation::tanh(values);
     }
 }
 
@@ -52,27 +52,6 @@ impl Real for f64 {
         }
     }
 }
-
-/// tanh by a rational function of odd degree 13 over even degree 6 on |x| ≤ 7.9, where f32's tanh is 1: absolute error
-/// below 3e-7, branch-free, so that it fills the lanes.
-#[inline(always)]
-fn tanh_kernel<const FMA: bool, const L: usize>(values: &mut [f32]) {
-    const ODD: [f32; 7] =
-        [-2.760_768_5e-16, 2.000_188e-13, -8.604_672e-11, 5.122_297e-8, 1.485_722_35e-5, 6.372_619e-4, 4.893_524_6e-3];
-    const EVEN: [f32; 4] = [1.198_258_4e-6, 1.185_347_1e-4, 2.268_434_6e-3, 4.893_525e-3];
-    for value in values {
-        let x = value.clamp(-7.905_311, 7.905_311);
-        let square = x * x;
-        let odd = ODD.iter().skip(1).fold(ODD[0], |p, c| heartian_ops::simd::mul_add::<FMA>(p, square, *c));
-        let even = EVEN.iter().skip(1).fold(EVEN[0], |p, c| heartian_ops::simd::mul_add::<FMA>(p, square, *c));
-        *value = x * odd / even;
-    }
-}
-
-heartian_ops::dispatch!(
-    /// tanh in place.
-    fn tanh_in_place(values: &mut [f32]) = tanh_kernel
-);
 
 /// A borrowed matrix, possibly a transposed view.
 #[derive(Clone, Copy)]
@@ -178,22 +157,6 @@ pub fn dot<T: Real>(left: &[T], right: &[T]) -> T {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn tanh_is_accurate_everywhere() {
-        let mut worst = 0.0f64;
-        for k in -20_000..=20_000 {
-            let x = k as f32 * 1e-3;
-            let mut value = [x];
-            tanh_in_place(&mut value);
-            worst = worst.max((f64::from(value[0]) - f64::from(x).tanh()).abs());
-        }
-        assert!(worst < 3e-7, "{worst}");
-        let mut ends = [f32::INFINITY, f32::NEG_INFINITY, 0.0, 1e-30];
-        tanh_in_place(&mut ends);
-        assert!((ends[0] - 1.0).abs() < 1e-6 && (ends[1] + 1.0).abs() < 1e-6 && ends[2] == 0.0);
-        assert!((ends[3] - 1e-30).abs() < 1e-35);
-    }
 
     #[test]
     fn products_agree_with_the_definition_in_every_orientation() {
