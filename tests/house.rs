@@ -19,7 +19,7 @@ const LADDER: [(&str, &[&str]); 18] = [
     ("signal", &["space"]),
     ("report", &["space"]),
     ("face", &["space", "ops"]),
-    ("decoder", &["space", "ops"]),
+    ("decoder", &["signal", "ops"]),
     ("splat", &["space", "ops"]),
     ("capture", &["space", "face"]),
     ("avatar", &["splat", "face"]),
@@ -27,7 +27,7 @@ const LADDER: [(&str, &[&str]); 18] = [
     ("nodes-capture", &["graph", "capture"]),
     ("nodes-avatar", &["graph", "avatar", "report"]),
     ("nodes-pulse", &["graph", "pulse"]),
-    ("nodes-measure", &["graph", "signal", "report"]),
+    ("nodes-measure", &["graph", "decoder", "face", "report"]),
 ];
 
 fn root() -> &'static Path {

@@ -42,7 +42,7 @@ fn run() -> BTreeMap<String, Pinned> {
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_heartian"));
     command.current_dir(folder.path()).env("HEARTIAN_SIMD", "baseline").env_remove("HEARTIAN_CACHE");
-    command.arg("run").arg(root.join("graphs/full.ron")).args(["--cache", "cache", "--out", "out"]);
+    command.arg("run").arg(root.join("graphs/export.ron")).args(["--cache", "cache", "--out", "out"]);
     TINY.iter().for_each(|set| {
         command.args(["--set", set]);
     });

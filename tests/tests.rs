@@ -6,6 +6,7 @@ mod graphs;
 mod house;
 mod interrupt;
 mod laws;
+mod measuring;
 mod pipeline;
 mod plugins;
 mod results;

@@ -8,7 +8,10 @@ use clap::{Args, Parser, Subcommand};
 
 pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments};
 
+use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
+use crate::export::ExportArguments;
+use crate::measure::MeasureArguments;
 use crate::sizes;
 
 /// Relightable Gaussian head avatars that carry a prescribed heartbeat, as one cached dataflow graph.
@@ -25,6 +28,7 @@ Start here:
   heartian sweep graphs/full.ron --over 'phase.heart_rate_bpm=[60, 72, 96]'
   heartian explain graphs/full.ron                          what would run now, and why
   heartian compare runs/full-* runs/no_residual-*           side by side
+  heartian measure me.mp4                                   the heart rate in any face video
   heartian nodes PhaseModel                                 what a node does, reads, writes and can be told"
 )]
 pub struct Arguments {
@@ -85,6 +89,10 @@ pub enum Command {
     Graph(DrawArguments),
     /// Show the latest runs, what is running, and the cache
     Status(StatusArguments),
+    /// Tell the heart rate in a face video, on one line, and how sure that is
+    Measure(MeasureArguments),
+    /// Lay a clip and its PPG out as a public data set, for other programs to read
+    Export(ExportArguments),
     /// Put the metrics of several runs side by side, and what each changes against the first
     #[command(after_help = "\
 Example:
@@ -169,6 +177,8 @@ pub enum Bench {
     Graph(GraphBench),
     /// The pulse: a cohort of recordings, stage 2 against rasterising each step, and speed against error
     Pulse(PulseBenchArguments),
+    /// Networks and methods: seconds a chunk of each, beside rPPG-Toolbox's
+    Decoder(DecoderBench),
 }
 
 /// How the pulse is measured.

@@ -1,6 +1,7 @@
 //! `heartian bench`: what Heartian promises, measured on data it makes itself. Timed figures are for reading, never for
 //! tests: a busy machine changes them.
 
+pub mod decoder;
 pub mod graph;
 mod pulse;
 
@@ -15,5 +16,6 @@ pub fn run(bench: &Bench) -> Result<ExitCode> {
     match bench {
         Bench::Graph(arguments) => graph::run(arguments),
         Bench::Pulse(arguments) => pulse::run(arguments),
+        Bench::Decoder(arguments) => decoder::run(arguments),
     }
 }

@@ -9,12 +9,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use heartian_artifact::Artifact;
+use heartian_capture::export::{AviForm, write_clip};
 use heartian_graph::{Cache, Digest, Files, Graph, NodeReport, Plan, Status, load};
 use heartian_space::{Clip, Metrics};
 use miette::{IntoDiagnostic, Result, WrapErr};
 use serde::{Deserialize, Serialize};
-
-use crate::avi;
 
 /// What is delivered.
 pub struct Delivery<'a> {
@@ -220,12 +219,12 @@ impl Courier<'_> {
                 self.done.damaged = true;
                 return Ok(());
             };
-            let Some(size) = avi::size(&clip) else {
+            let Some(size) = AviForm::of(&clip).size() else {
                 self.done.warnings.push(format!("`{name}` is too long for an AVI file and stays in the cache only"));
                 return Ok(());
             };
             let path = format!("{name}.avi");
-            write(&self.folder.join(&path), |file| avi::write(&clip, file))?;
+            write(&self.folder.join(&path), |file| write_clip(&clip, file))?;
             (path, size)
         } else {
             let Some(bytes) = self.delivery.cache.bytes(digest)? else {

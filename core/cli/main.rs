@@ -5,7 +5,6 @@
 
 mod arguments;
 mod audit;
-mod avi;
 mod bench;
 mod cache;
 mod clock;
@@ -13,7 +12,9 @@ mod compare;
 mod deliver;
 mod draw;
 mod explain;
+mod export;
 mod manual;
+mod measure;
 mod models;
 mod paired;
 mod plugins;
@@ -48,6 +49,8 @@ fn main() -> ExitCode {
         Command::Graph(arguments) => draw::draw(&arguments),
         Command::Status(arguments) => status::print(&arguments),
         Command::Compare { runs, plot } => compare::print(&runs, plot.as_deref()),
+        Command::Export(arguments) => export::run(&arguments),
+        Command::Measure(arguments) => measure::run(&arguments),
         Command::Cache(arguments) => cache::act(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),
         Command::Plugins { action } => plugins::act(&action),

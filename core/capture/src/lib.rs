@@ -1,7 +1,8 @@
-//! Video readers, matting, and the synthetic recording with its mesh renderer.
+//! Video readers and writers, matting, and the synthetic recording with its mesh renderer.
 
 mod crop;
 mod error;
+pub mod export;
 mod matte;
 mod mesh;
 mod observe;

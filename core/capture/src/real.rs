@@ -16,12 +16,10 @@ use rayon::prelude::*;
 use crate::CaptureError;
 use crate::crop::{CropSquare, Cropper};
 use crate::matte::{Evidence, refine};
-use crate::video::{FrameSource, VideoOptions, open};
+use crate::video::{self, VideoOptions};
 
 /// Full frames held at once.
 const BATCH_FRAMES: usize = 16;
-/// Frames decoded before they are asked for.
-const FRAMES_AHEAD: usize = 4;
 /// The most memory for frames and matte.
 const LARGEST_CLIP_BYTES: usize = 6 << 30;
 
@@ -108,28 +106,15 @@ fn for_each_frame(
     mut each: impl FnMut(f64, Rgb8Image) -> Result<(), CaptureError>,
 ) -> Result<(), CaptureError> {
     let reading = VideoOptions { start_seconds: options.start_seconds, folder_hertz: options.folder_hertz };
-    let mut video = open(source, &reading)?;
-    std::thread::scope(|scope| {
-        let (sender, frames) = std::sync::mpsc::sync_channel(FRAMES_AHEAD);
-        scope.spawn(move || {
-            // Ends at the last frame, at an error, or when the reader has hung up.
-            while let Some(next) = video.next_frame().transpose() {
-                let failed = next.is_err();
-                if sender.send(next).is_err() || failed {
-                    break;
-                }
-            }
-        });
-        let mut first = None;
-        for frame in frames {
-            let frame = frame?;
-            let from = *first.get_or_insert(frame.seconds);
-            if frame.seconds - from >= options.seconds - 1e-6 {
-                break;
-            }
-            each(frame.seconds, frame.image)?;
+    let video = video::open(source, &reading)?;
+    let mut first = None;
+    video::for_each_frame(video, |frame| {
+        let from = *first.get_or_insert(frame.seconds);
+        if frame.seconds - from >= options.seconds - 1e-6 {
+            return Ok(ControlFlow::Break(()));
         }
-        Ok(())
+        each(frame.seconds, frame.image)?;
+        Ok(ControlFlow::Continue(()))
     })
 }
 

@@ -4,6 +4,7 @@
 //! user's `ffmpeg`. A source holds a few frames, never the clip. Frames come in display order with strictly increasing
 //! times, in seconds from the start of the recording; they are sRGB-encoded RGB, upright.
 
+mod ahead;
 mod avi;
 mod bits;
 mod boxes;
@@ -13,6 +14,8 @@ mod png_folder;
 mod yuv;
 
 use std::path::{Path, PathBuf};
+
+pub use ahead::for_each_frame;
 
 use heartian_space::Rgb8Image;
 

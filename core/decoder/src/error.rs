@@ -127,6 +127,33 @@ pub enum DecoderError {
         /// What came out.
         value: f32,
     },
+    /// A clip is shorter than one chunk of a network.
+    #[error(
+        "the clip has {frames} frames and {architecture} reads {needed} at a time; \
+         give a longer clip, or use a method without weights (POS needs 49 frames at 30 Hz)"
+    )]
+    ShortClip {
+        /// The network.
+        architecture: &'static str,
+        /// Frames there are.
+        frames: usize,
+        /// Frames of a chunk.
+        needed: usize,
+    },
+    /// Nothing changes from frame to frame.
+    #[error(
+        "all {frames} frames that {architecture} is shown are the same (black, or a still picture); \
+         check that the face is lit and in the frame"
+    )]
+    Still {
+        /// The network.
+        architecture: &'static str,
+        /// Frames there are.
+        frames: usize,
+    },
+    /// A trace has no answer.
+    #[error(transparent)]
+    Signal(#[from] heartian_signal::SignalError),
     /// Buffers of an op contradict each other.
     #[error(transparent)]
     Ops(#[from] heartian_ops::ShapeError),

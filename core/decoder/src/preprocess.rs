@@ -9,5 +9,5 @@ mod normalise;
 mod resize;
 
 pub use face_box::{FaceBox, FollowedBox, HAAR_ENLARGEMENT};
-pub use normalise::{chunk_count, label_difference, label_standardised, normalised, resampled_to_frames};
+pub use normalise::{Scaling, chunk_count, label_difference, label_standardised, normalised, resampled_to_frames};
 pub use resize::{Pixels, resize_area};

@@ -308,6 +308,14 @@ pub struct FaceNets {
     pub person: PersonMatte,
 }
 
+/// Loads the installed face detector alone, checking its digest.
+///
+/// # Errors
+/// When it is missing or damaged; the message says how to install.
+pub fn load_detector() -> Result<Detector, ModelsError> {
+    Ok(Detector::parse(&read_model(&MODELS[0], &directory()?)?)?)
+}
+
 impl FaceNets {
     /// Loads the installed networks, checking each file's digest.
     ///

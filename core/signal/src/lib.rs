@@ -5,6 +5,7 @@
 //! not finite, flat, a band above Nyquist) is refused with a [`SignalError`] that names the remedy; nothing panics.
 
 pub mod beats;
+pub mod certainty;
 mod detrend;
 mod error;
 mod filter;

@@ -1,7 +1,10 @@
-//! The nodes that see the face: frames with their matte and landmarks, and the head tracked through them.
+//! The nodes that see the face: frames with their matte and landmarks, and the head tracked through them; and the one that
+//! lays clips out for other programs.
 
+mod dataset_exporter;
 mod flame_tracker;
 mod frame_loader;
 
+pub use dataset_exporter::DatasetExporter;
 pub use flame_tracker::FlameTracker;
 pub use frame_loader::FrameLoader;

@@ -1,7 +1,7 @@
 //! The words of the reading nodes' parameters, and what they mean in `heartian-signal`.
 
+use heartian_decoder::{Architecture, Averaged, Cut, Named, Statistics};
 use heartian_graph::NodeError;
-use heartian_signal::trace::Weighting;
 use heartian_signal::{EvenTrace, HeartRate, Method, Preset, SignalError, estimate, resampled_evenly};
 use heartian_space::{Series, Trace};
 use serde::{Deserialize, Serialize};
@@ -24,9 +24,33 @@ pub enum Pixels {
     Frame,
     /// Each pixel by its alpha.
     Matte,
+    /// The face crop at 72×72, as the toolbox reads a whole recording.
+    Face,
 }
 
-/// A classical method.
+/// How the face crop is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FaceCut {
+    /// The box around the first frame's matte.
+    Matte,
+    /// The face seen in the first frame, enlarged by half.
+    Detector,
+    /// The face seen in every thirtieth frame, enlarged by half.
+    MovingDetector,
+    /// The whole frame.
+    Frame,
+}
+
+/// Over what networks' inputs are normalised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NormalisedOver {
+    /// The whole clip, as the toolbox does.
+    Clip,
+    /// Each chunk by itself.
+    Chunk,
+}
+
+/// A decoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ReadBy {
     /// Plane orthogonal to skin.
@@ -43,6 +67,14 @@ pub enum ReadBy {
     Pbv,
     /// Orthogonal matrix image transformation.
     Omit,
+    /// Temporal-shift convolutional attention network.
+    TsCan,
+    /// Temporal-difference video transformer.
+    PhysFormer,
+    /// Convolutions with factorised attention.
+    FactorizePhys,
+    /// Spatio-temporal encoder and decoder.
+    PhysNet,
 }
 
 impl Convention {
@@ -57,26 +89,53 @@ impl Convention {
 }
 
 impl Pixels {
-    /// The weighting of that name.
-    pub fn weighting(self) -> Weighting {
+    /// What classical methods average.
+    pub fn averaged(self) -> Averaged {
         match self {
-            Self::Frame => Weighting::WholeFrame,
-            Self::Matte => Weighting::Alpha,
+            Self::Frame => Averaged::Frame,
+            Self::Matte => Averaged::Matte,
+            Self::Face => Averaged::Face,
+        }
+    }
+}
+
+impl FaceCut {
+    /// What networks are shown.
+    pub fn cut(self) -> Cut {
+        match self {
+            Self::Matte => Cut::Matte,
+            Self::Detector => Cut::Still,
+            Self::MovingDetector => Cut::Moving,
+            Self::Frame => Cut::Frame,
+        }
+    }
+}
+
+impl NormalisedOver {
+    /// The statistics of that name.
+    pub fn statistics(self) -> Statistics {
+        match self {
+            Self::Clip => Statistics::WholeClip,
+            Self::Chunk => Statistics::PerChunk,
         }
     }
 }
 
 impl ReadBy {
-    /// The method of that name.
-    pub fn method(self) -> Method {
+    /// The decoder of that name.
+    pub fn named(self) -> Named {
         match self {
-            Self::Pos => Method::Pos,
-            Self::Chrom => Method::Chrom,
-            Self::Green => Method::Green,
-            Self::Ica => Method::Ica,
-            Self::Lgi => Method::Lgi,
-            Self::Pbv => Method::Pbv,
-            Self::Omit => Method::Omit,
+            Self::Pos => Named::Classical(Method::Pos),
+            Self::Chrom => Named::Classical(Method::Chrom),
+            Self::Green => Named::Classical(Method::Green),
+            Self::Ica => Named::Classical(Method::Ica),
+            Self::Lgi => Named::Classical(Method::Lgi),
+            Self::Pbv => Named::Classical(Method::Pbv),
+            Self::Omit => Named::Classical(Method::Omit),
+            Self::TsCan => Named::Neural(Architecture::TsCan),
+            Self::PhysFormer => Named::Neural(Architecture::PhysFormer),
+            Self::FactorizePhys => Named::Neural(Architecture::FactorizePhys),
+            Self::PhysNet => Named::Neural(Architecture::PhysNet),
         }
     }
 }

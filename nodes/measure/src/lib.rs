@@ -4,8 +4,9 @@ mod benchmark_decoder;
 mod choices;
 mod hr_estimator;
 mod report;
+mod scores;
 
 pub use benchmark_decoder::BenchmarkDecoder;
-pub use choices::{Convention, Pixels, ReadBy};
+pub use choices::{Convention, FaceCut, NormalisedOver, Pixels, ReadBy};
 pub use hr_estimator::HrEstimator;
 pub use report::Report;

@@ -10,6 +10,8 @@ params! {
     pub struct Report {
         /// Columns of the contact sheet: frames spread evenly over the clips.
         columns: usize = 6, range(1.0, 24.0);
+        /// Waveforms drawn: the first so many of all traces.
+        curves: usize = 6, range(1.0, 24.0);
         /// How much of the waveforms is drawn, and how much of the clips is previewed.
         seconds: f64 = 8.0, unit("s"), range(0.5, 60.0);
         /// Largest side of a clip in the preview.
@@ -20,7 +22,7 @@ register!(Report);
 
 impl Node for Report {
     const KIND: &'static str = "Report";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::many::<Clip>("clips", "Clips of equal size and length, one row each."),
         Port::many::<Traces>("traces", "Waveforms, one colour each.").optional(),
@@ -36,7 +38,7 @@ impl Node for Report {
             .with("preview.png", encode_preview(&clips, self.preview_size, self.seconds)?)?;
         let (mut curves, mut text) = (Vec::new(), "label,time_s,value\n".to_owned());
         for traces in inputs.many::<Traces>("traces")? {
-            for trace in &traces.0 {
+            for trace in traces.0.iter().take(self.curves - curves.len().min(self.curves)) {
                 curves.push(curve(&trace.label, &trace.series)?);
                 write_samples(&mut text, trace);
             }

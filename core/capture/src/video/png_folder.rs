@@ -39,7 +39,11 @@ impl PngFolder {
             Some(path) => read_times(&path, files.len())?,
             None if hertz.is_finite() && hertz > 0.0 => (0..files.len()).map(|i| i as f64 / hertz).collect(),
             None => {
-                let reason = format!("the frame rate is {hertz}; it must be positive");
+                let told = if hertz.is_nan() { "is not given".to_owned() } else { format!("is {hertz}") };
+                let reason = format!(
+                    "the folder holds no times.csv or times.txt, and the frame rate {told}; give a positive frame rate \
+                     (`--fps 30`), or put a file with one number of seconds a frame there"
+                );
                 return Err(VideoError::Times { path: folder.to_owned(), reason });
             }
         };

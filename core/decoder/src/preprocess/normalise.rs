@@ -3,54 +3,93 @@
 //! The toolbox normalises a whole recording before it cuts it; a stream can only normalise what it holds. Both are the same
 //! function here: give it the recording, or a chunk. Numbers that have no value (0/0 where nothing varies) become 0.
 
+use std::sync::OnceLock;
+
 use crate::input::Normalisation;
 
 /// The guard of [`Normalisation::DiffNormalized`] against black pixels.
 const GUARD: f64 = 1e-7;
 
-/// Frames of `frame_bytes` codes each, under one normalisation, same layout and length.
-///
-/// The scalars (mean, standard deviation) are over all frames given. A trailing part of a frame is dropped.
-pub fn normalised(frames: &[u8], frame_bytes: usize, normalisation: Normalisation) -> Vec<f32> {
-    let frames = if frame_bytes == 0 { &[][..] } else { &frames[..frames.len() - frames.len() % frame_bytes] };
-    match normalisation {
-        Normalisation::Raw => frames.iter().map(|code| f32::from(*code)).collect(),
-        Normalisation::Standardized => {
-            let n = frames.len() as f64;
-            let (sum, squares) = frames.iter().fold((0u64, 0u64), |(sum, squares), code| {
-                (sum + u64::from(*code), squares + u64::from(*code) * u64::from(*code))
-            });
-            let mean = sum as f64 / n;
-            // Sums of integers are exact, so the difference of squares loses nothing that matters.
-            let deviation = (squares as f64 / n - mean * mean).max(0.0).sqrt();
-            let of_code: Vec<f32> = (0..=255u8).map(|code| number((f64::from(code) - mean) / deviation)).collect();
-            frames.iter().map(|code| of_code[usize::from(*code)]).collect()
-        }
-        Normalisation::DiffNormalized => {
-            let next = frames.get(frame_bytes..).unwrap_or(&[]);
-            let relative = |(next, this): (&u8, &u8)| {
-                let (next, this) = (f64::from(*next), f64::from(*this));
-                ((next - this) / (next + this + GUARD)) as f32
-            };
-            let mut out: Vec<f32> = next.iter().zip(frames).map(relative).collect();
-            let scale = 1.0 / deviation(&out);
-            out.iter_mut().for_each(|value| *value = number(f64::from(*value) * scale));
-            out.resize(frames.len(), 0.0);
-            out
+/// The scalars of a normalisation, measured over frames, to be applied to these or to parts of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scaling {
+    normalisation: Normalisation,
+    centre: f64,
+    deviation: f64,
+}
+
+impl Scaling {
+    /// Measures the scalars over all of `frames`, of `frame_bytes` codes each.
+    pub fn of(frames: &[u8], frame_bytes: usize, normalisation: Normalisation) -> Self {
+        let (centre, deviation) = match normalisation {
+            Normalisation::Raw => (0.0, 1.0),
+            Normalisation::Standardized => {
+                let n = frames.len() as f64;
+                let (sum, squares) = frames.iter().fold((0u64, 0u64), |(sum, squares), code| {
+                    (sum + u64::from(*code), squares + u64::from(*code) * u64::from(*code))
+                });
+                let mean = sum as f64 / n;
+                // Sums of integers are exact, so the difference of squares loses nothing that matters.
+                (mean, (squares as f64 / n - mean * mean).max(0.0).sqrt())
+            }
+            Normalisation::DiffNormalized => {
+                let next = frames.get(frame_bytes..).unwrap_or(&[]);
+                let relative = |(next, this): (&u8, &u8)| f64::from(relative_difference(*next, *this));
+                let n = next.len() as f64;
+                let mean = next.iter().zip(frames).map(relative).sum::<f64>() / n;
+                let squares = next.iter().zip(frames).map(|pair| (relative(pair) - mean).powi(2)).sum::<f64>();
+                (0.0, (squares / n).sqrt())
+            }
+        };
+        Self { normalisation, centre, deviation }
+    }
+
+    /// Whether nothing varies over what was measured, so that every number becomes 0.
+    pub fn is_flat(&self) -> bool {
+        self.deviation.is_nan() || self.deviation == 0.0
+    }
+
+    /// Numbers of `frames`; `next` is the frame after them, empty at the end of a recording.
+    pub fn apply(&self, frames: &[u8], next: &[u8], frame_bytes: usize) -> Vec<f32> {
+        let number = |value: f64| if value.is_finite() { value as f32 } else { 0.0 };
+        match self.normalisation {
+            Normalisation::Raw => frames.iter().map(|code| f32::from(*code)).collect(),
+            Normalisation::Standardized => {
+                let of_code: Vec<f32> =
+                    (0..=255u8).map(|code| number((f64::from(code) - self.centre) / self.deviation)).collect();
+                frames.iter().map(|code| of_code[usize::from(*code)]).collect()
+            }
+            Normalisation::DiffNormalized => {
+                let later = frames.get(frame_bytes..).unwrap_or(&[]).iter().chain(next);
+                let relative =
+                    |(next, this): (&u8, &u8)| number(f64::from(relative_difference(*next, *this)) / self.deviation);
+                let mut out: Vec<f32> = later.zip(frames).map(relative).collect();
+                out.resize(frames.len(), 0.0);
+                out
+            }
         }
     }
 }
 
-/// A number a network can take: NaN and infinities become 0.
-fn number(value: f64) -> f32 {
-    if value.is_finite() { value as f32 } else { 0.0 }
+/// Change from one code to the next over their sum.
+fn relative_difference(next: u8, this: u8) -> f32 {
+    static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
+    let table = TABLE.get_or_init(|| {
+        let of = |index: u32| {
+            let (next, this) = (f64::from(index >> 8), f64::from(index & 255));
+            ((next - this) / (next + this + GUARD)) as f32
+        };
+        (0..1 << 16).map(of).collect()
+    });
+    table[usize::from(next) << 8 | usize::from(this)]
 }
 
-/// Population standard deviation, summed in f64.
-fn deviation(values: &[f32]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / n;
-    (values.iter().map(|value| (f64::from(*value) - mean).powi(2)).sum::<f64>() / n).sqrt()
+/// Frames of `frame_bytes` codes each under one normalisation, same layout and length.
+///
+/// The scalars (mean, standard deviation) are over all frames given. A trailing part of a frame is dropped.
+pub fn normalised(frames: &[u8], frame_bytes: usize, normalisation: Normalisation) -> Vec<f32> {
+    let frames = if frame_bytes == 0 { &[][..] } else { &frames[..frames.len() - frames.len() % frame_bytes] };
+    Scaling::of(frames, frame_bytes, normalisation).apply(frames, &[], frame_bytes)
 }
 
 /// A label as the derivative networks are trained on: differences over their standard deviation, a 0 at the end.

@@ -47,6 +47,14 @@ impl Detector {
         Ok(Self { net, anchors: anchors.collect() })
     }
 
+    /// Edges (left, top, right, bottom; pixels) of the best face, if there is one.
+    ///
+    /// # Errors
+    /// As [`detect`](Self::detect).
+    pub fn best_box(&self, image: &Rgb8Image) -> Result<Option<[f32; 4]>, NetError> {
+        Ok(self.detect(image)?.first().map(|face| face.box_px))
+    }
+
     /// Faces, best first; empty when there is none.
     ///
     /// # Errors
