@@ -154,13 +154,16 @@ fn the_command_refuses_with_reasons() {
         let words = text(&output.stderr).split_whitespace().collect::<Vec<_>>().join(" ");
         (output.status.code(), words)
     };
-    let cases: [(&[&str], i32, &[&str]); 7] = [
+    let silent = format!("frames.source={}", root().join("Cargo.toml").display());
+    let cases: [(&[&str], i32, &[&str]); 8] = [
         (
             &["run", &full, "--set", "frames.sauce=x"],
             1,
             &["`frames`", "no parameter `sauce`", "did you mean `source`?"],
         ),
         (&["run", &full, "--set", "frames.source=no/such.mp4"], 1, &["`frames`", "`source`", "no/such.mp4"]),
+        // Without a pulse to write nothing starts, least of all the trainer.
+        (&["run", &full, "--set", &silent], 1, &["`phase`", "without a PPG", "phase.heart_rate_bpm"]),
         (&["run", &full, "--set", "frames.seconds=-3"], 1, &["`frames`", "`seconds`", "-3"]),
         (&["run", &full, "--target", "rendr"], 1, &["no node `rendr`", "did you mean `render`?"]),
         (&["run", "no/such.ron"], 1, &["cannot read the graph `no/such.ron`"]),

@@ -63,7 +63,7 @@ pub use files::Files;
 pub use graph::{Graph, GraphError};
 pub use insight::{Cause, Change, Entry, Explainer, Explanation, PastNode, Standing, Subject};
 pub use insight::{Forecast, History, Sweep, changes, subjects_of_plan, subjects_of_run};
-pub use node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
+pub use node::{Need, Node, NodeError, ParamError, Port, Resources, SourceFile};
 pub use params::{ParamDoc, Params};
 pub use picture::{Picture, Tint};
 pub use plan::{Plan, PlanInput, PlanNode};

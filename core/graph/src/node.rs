@@ -33,6 +33,17 @@ pub trait Node: Params {
         Vec::new()
     }
 
+    /// Optional outputs that these parameters leave unwritten, as far as they alone can tell.
+    fn leaves_empty(&self) -> Vec<&'static str> {
+        Vec::new()
+    }
+
+    /// Optional inputs that these parameters cannot do without. One that nothing will fill is reported before anything
+    /// runs.
+    fn needs(&self) -> Vec<Need> {
+        Vec::new()
+    }
+
     /// What the node needs of the machine while it runs, so that the scheduler knows what fits beside it. Must not
     /// change what it computes.
     fn resources(&self) -> Resources {
@@ -140,6 +151,17 @@ impl SourceFile {
         self.remedy = Some(remedy.into());
         self
     }
+}
+
+/// An optional input that a node's parameters cannot do without.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Need {
+    /// The input.
+    pub input: &'static str,
+    /// What is wrong when nothing fills it.
+    pub message: String,
+    /// What to do then.
+    pub remedy: String,
 }
 
 /// What is wrong with one parameter.

@@ -3,6 +3,7 @@
 //! Always holds: nodes stand in topological order and each is needed by a target; every wire joins ports of one type;
 //! every parameter is valid. Nothing here recurses, so a chain of 100,000 nodes is as good as a short one.
 
+mod needs;
 mod order;
 mod params;
 mod wires;
@@ -105,6 +106,7 @@ impl Graph {
                 check_sources(self.nodes[*index].local(), built, &self.nodes[*index].id.place, &mut problems);
             }
         }
+        needs::check(self, &built, &wires, &needed, &mut problems);
         if !problems.0.is_empty() {
             problems.sort();
             return Err(problems);

@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::artifacts::{Inputs, Outputs};
 use crate::context::Context;
 use crate::digest::Digest;
-use crate::node::{Node, NodeError, ParamError, Port, Resources, SourceFile};
+use crate::node::{Need, Node, NodeError, ParamError, Port, Resources, SourceFile};
 use crate::params::ParamDoc;
 use crate::syntax::{DeError, Fields, Spanned};
 
@@ -17,6 +17,14 @@ pub trait ErasedNode: Send + Sync {
     fn sources(&self) -> Vec<SourceFile>;
     /// See [`Node::validate`].
     fn validate(&self) -> Vec<ParamError>;
+    /// See [`Node::leaves_empty`].
+    fn leaves_empty(&self) -> Vec<&'static str> {
+        Vec::new()
+    }
+    /// See [`Node::needs`].
+    fn needs(&self) -> Vec<Need> {
+        Vec::new()
+    }
     /// See [`Node::resources`].
     fn resources(&self) -> Resources;
     /// All parameters, defaults written out.
@@ -37,6 +45,12 @@ impl<N: Node> ErasedNode for N {
     }
     fn validate(&self) -> Vec<ParamError> {
         Node::validate(self)
+    }
+    fn leaves_empty(&self) -> Vec<&'static str> {
+        Node::leaves_empty(self)
+    }
+    fn needs(&self) -> Vec<Need> {
+        Node::needs(self)
     }
     fn resources(&self) -> Resources {
         Node::resources(self)

@@ -1,6 +1,11 @@
 //! Whole fits: heart rates recovered, real and broken recordings, lengths, determinism, and what each setting costs.
 
 mod broken;
+mod colour;
+mod drift;
+mod hard;
+mod perfusion;
+mod physiology;
 mod picture;
 mod rates;
 mod recordings;

@@ -3,6 +3,7 @@
 mod agreement;
 mod canvas;
 mod csv;
+mod face_map;
 mod figure;
 mod parquet;
 mod preview;
@@ -12,6 +13,7 @@ mod trade_off;
 pub use agreement::{Agreement, agreement_figure};
 pub use canvas::{decode_png, encode_png};
 pub use csv::table_csv;
+pub use face_map::{FaceMap, face_maps};
 pub use figure::{Curve, waveform_figure};
 pub use parquet::table_parquet;
 pub use preview::encode_preview;

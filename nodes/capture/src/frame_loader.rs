@@ -74,6 +74,13 @@ impl Node for FrameLoader {
         video.into_iter().chain(ppg).collect()
     }
 
+    fn leaves_empty(&self) -> Vec<&'static str> {
+        let synthetic = self.source == SYNTHETIC;
+        let without_ppg = !synthetic && self.ppg.is_none();
+        let ppg = without_ppg.then_some(["ppg", "ppg_at_frames"]);
+        ppg.into_iter().flatten().chain((!synthetic).then_some("truth")).collect()
+    }
+
     fn validate(&self) -> Vec<ParamError> {
         let empty = self.source.is_empty();
         let message = "is empty; give a video file, a folder of PNG frames, or \"synthetic\"";

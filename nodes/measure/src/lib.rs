@@ -8,5 +8,5 @@ mod scores;
 
 pub use benchmark_decoder::BenchmarkDecoder;
 pub use choices::{Convention, FaceCut, NormalisedOver, Pixels, ReadBy};
-pub use hr_estimator::HrEstimator;
+pub use hr_estimator::{HrEstimator, Mode};
 pub use report::Report;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
+use heartian_graph::{Context, Inputs, Need, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
 use heartian_pulse::losses::LossWeights;
 use heartian_pulse::reference::weak_phase;
 use heartian_pulse::{
@@ -90,6 +90,10 @@ params! {
 }
 register!(PhaseModel);
 
+const NO_PULSE: &str = "the recording came without a PPG, and no heartbeat is prescribed";
+const PULSE_REMEDY: &str = "give frames.ppg a CSV with the header `time_s,ppg`, or set phase.heart_rate_bpm, or \
+                            phase.pulse_file to another recording";
+
 impl Node for PhaseModel {
     const KIND: &'static str = "PhaseModel";
     const REVISION: u32 = 4;
@@ -110,6 +114,12 @@ impl Node for PhaseModel {
     fn sources(&self) -> Vec<SourceFile> {
         let remedy = "give a CSV file with the header `time_s,ppg`, `beat_s` or `rr_ms`";
         self.pulse_file.iter().map(|path| SourceFile::new("pulse_file", path).remedy(remedy)).collect()
+    }
+
+    fn needs(&self) -> Vec<Need> {
+        let own = self.heart_rate_bpm.is_some() || self.pulse_file.is_some();
+        let need = Need { input: "ppg", message: NO_PULSE.to_owned(), remedy: PULSE_REMEDY.to_owned() };
+        (!own).then_some(need).into_iter().collect()
     }
 
     fn validate(&self) -> Vec<ParamError> {
@@ -189,11 +199,7 @@ impl PhaseModel {
             let reference = PulseFile::read(Path::new(path)).and_then(|file| file.reference(times));
             return reference.map_err(|error| NodeError::from(error).parameter("pulse_file").remedy(remedy));
         }
-        let missing = || {
-            NodeError::new("the recording came without a PPG, and no heartbeat is prescribed")
-                .remedy("give frames.ppg a CSV with the header `time_s,ppg`, or set phase.heart_rate_bpm")
-                .parameter("heart_rate_bpm")
-        };
+        let missing = || NodeError::new(NO_PULSE).remedy(PULSE_REMEDY).parameter("heart_rate_bpm");
         Ok(Reference::from_ppg(ppg.ok_or_else(missing)?, times)?)
     }
 

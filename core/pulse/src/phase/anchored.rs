@@ -2,8 +2,9 @@
 //!
 //! An anchor is a moment and its phase: each systolic peak, and the first and last fitted frame. Between anchors phase is
 //! linear in time, as the paper's θ_gt is between peaks; each anchor carries a learnt correction of less than π/4, so
-//! phase never runs backwards. Beyond the anchors a rate model goes on: the rate of the nearest eight beats, returning
-//! to the mean of all with a time constant of 20 s, integrated exactly.
+//! phase never runs backwards. Beyond the anchors a rate model goes on: the rate of the nearest minute, over which slow
+//! and respiratory variation average out, returning to the mean of all with a time constant of a minute, integrated
+//! exactly.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -12,8 +13,8 @@ use crate::numeric::wrap;
 /// Bound on an anchor's correction, radians.
 const REACH: f64 = FRAC_PI_4;
 /// Anchors that make up the local rate, and how long it is believed, seconds.
-const LOCAL_BEATS: usize = 8;
-const BELIEVED_SECONDS: f64 = 20.0;
+const LOCAL_BEATS: usize = 64;
+const BELIEVED_SECONDS: f64 = 60.0;
 /// Anchors closer than this to their neighbour are merged, seconds.
 const LEAST_GAP_SECONDS: f64 = 1e-6;
 /// Least confidence of a weak phase that may set an anchor.
