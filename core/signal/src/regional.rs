@@ -40,7 +40,7 @@ pub fn arrivals(table: &[f32], count: usize, rate_hertz: f64, bpm: f64) -> Resul
         sums.iter_mut().zip(frame).for_each(|(sum, value)| *sum += back * f64::from(*value));
         whole += back * *mean;
     }
-    if whole.norm() < 1e-12 * means.iter().map(|v| v.abs()).fold(0.0, f64::max) * means.len() as f64 {
+    if whole.norm() <= 1e-12 * means.iter().map(|v| v.abs()).fold(0.0, f64::max) * means.len() as f64 {
         return Err(SignalError::Flat("the mean of the traces at the heart rate"));
     }
     let relative = |sum: &Complex64| {
