@@ -2,6 +2,8 @@
 //!
 //! Both detrend (smoothness prior, λ = 100 at 30 Hz), band-pass (Butterworth order 1, forward and backward) and take the strongest
 //! bin of the band. The paper's uses 0.75–3.0 Hz and bins of at most 0.1 bpm; the toolbox's 0.6–3.3 Hz and a power of two.
+//! `Fundamental` is ours: POS over 1.6 s windows and two band-passes weaken slow pulses more than their second harmonic,
+//! which below about 60 bpm then is the strongest bin although the fundamental stands beside it.
 
 use crate::detrend::{Smoothness, detrend};
 use crate::error::{Result, SignalError, check_finite, check_length, check_times};
@@ -23,6 +25,8 @@ pub enum Preset {
     Toolbox,
     /// rPPG-Toolbox's filter and band with bins of at most 0.1 bpm.
     ToolboxFine,
+    /// As `ToolboxFine`, and the fundamental rather than its second harmonic where both stand out.
+    Fundamental,
 }
 
 impl Preset {
@@ -32,6 +36,7 @@ impl Preset {
             Self::Paper => Protocol::PAPER,
             Self::Toolbox => Protocol::TOOLBOX,
             Self::ToolboxFine => Protocol { resolution: Resolution::FINE, ..Protocol::TOOLBOX },
+            Self::Fundamental => Protocol { fundamental: true, ..Self::ToolboxFine.protocol() },
         }
     }
 }
@@ -47,15 +52,27 @@ pub struct Protocol {
     pub order: usize,
     /// Bins of the spectrum.
     pub resolution: Resolution,
+    /// Whether the strongest bin is asked if it is a second harmonic ([`Spectrum::fundamental_bin`]).
+    pub fundamental: bool,
 }
 
 impl Protocol {
     /// λ = 100 at 30 Hz and alike at other rates, order 1, 0.75–3.0 Hz, bins ≤ 0.1 bpm.
-    pub const PAPER: Self =
-        Self { detrend: Smoothness::AsAt30Hertz(100.0), band: Band::PAPER, order: 1, resolution: Resolution::FINE };
+    pub const PAPER: Self = Self {
+        detrend: Smoothness::AsAt30Hertz(100.0),
+        band: Band::PAPER,
+        order: 1,
+        resolution: Resolution::FINE,
+        fundamental: false,
+    };
     /// λ = 100 whatever the rate, order 1, 0.6–3.3 Hz, next power of two.
-    pub const TOOLBOX: Self =
-        Self { detrend: Smoothness::Fixed(100.0), band: Band::TOOLBOX, order: 1, resolution: Resolution::Toolbox };
+    pub const TOOLBOX: Self = Self {
+        detrend: Smoothness::Fixed(100.0),
+        band: Band::TOOLBOX,
+        order: 1,
+        resolution: Resolution::Toolbox,
+        fundamental: false,
+    };
 
     /// Detrended and band-passed, same length and unit.
     ///
@@ -72,6 +89,14 @@ impl Protocol {
         if varies { Ok(filtered) } else { Err(SignalError::Flat("the trace")) }
     }
 
+    /// The bin that is read as the heart rate.
+    ///
+    /// # Errors
+    /// As [`Spectrum::peak_bin`].
+    pub fn bin(&self, spectrum: &Spectrum) -> Result<usize> {
+        if self.fundamental { spectrum.fundamental_bin(self.band) } else { spectrum.peak_bin(self.band) }
+    }
+
     /// The heart rate of a trace sampled evenly at `rate_hertz`.
     ///
     /// # Errors
@@ -79,7 +104,7 @@ impl Protocol {
     pub fn estimate(&self, signal: &[f64], rate_hertz: f64) -> Result<HeartRate> {
         let filtered = self.filtered(signal, rate_hertz)?;
         let spectrum = Spectrum::of(&filtered, rate_hertz, self.resolution)?;
-        let bpm = spectrum.heart_rate_bpm(self.band)?;
+        let bpm = 60.0 * spectrum.hertz(self.bin(&spectrum)?);
         Ok(HeartRate { bpm, filtered, spectrum, rate_hertz, band: self.band })
     }
 }
@@ -87,7 +112,7 @@ impl Protocol {
 /// A heart rate and what it was read from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeartRate {
-    /// Rate at the strongest bin of the band, bpm.
+    /// Rate at the bin the protocol reads, bpm.
     pub bpm: f64,
     /// The detrended, band-passed trace.
     pub filtered: Vec<f64>,

@@ -16,6 +16,11 @@ const MAX_POINTS: usize = 1 << 24;
 /// Half-width of the window taken around a harmonic when signal is told from noise, hertz (6 bpm).
 const HARMONIC_HERTZ: f64 = 0.1;
 
+/// Least share of the strongest bin's power at half its frequency that makes it a second harmonic.
+const FUNDAMENTAL_SHARE: f64 = 0.25;
+/// How far from half the strongest frequency the fundamental is looked for, hertz (3 bpm).
+const FUNDAMENTAL_HERTZ: f64 = 0.05;
+
 /// How far a signal is padded with zeros before the transform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Resolution {
@@ -94,6 +99,25 @@ impl Spectrum {
             }
         }
         best.filter(|&bin| self.power[bin] > 0.0).ok_or(SignalError::Flat("the signal's spectrum within the band"))
+    }
+
+    /// The strongest bin of the band, or the fundamental of which it is the second harmonic: the strongest bin within 3 bpm
+    /// of half its frequency, if that lies in the band, is a maximum and holds at least a quarter of its power.
+    ///
+    /// # Errors
+    /// As [`peak_bin`](Self::peak_bin).
+    pub fn fundamental_bin(&self, band: Band) -> Result<usize> {
+        let peak = self.peak_bin(band)?;
+        let near = |bin: &usize| (self.hertz(*bin) - 0.5 * self.hertz(peak)).abs() <= FUNDAMENTAL_HERTZ;
+        let half = (1..peak).filter(near).max_by(|a, b| self.power[*a].total_cmp(&self.power[*b]));
+        let stands = |bin: &usize| {
+            let power = self.power[*bin];
+            band.contains(self.hertz(*bin))
+                && power >= FUNDAMENTAL_SHARE * self.power[peak]
+                && power >= self.power[bin - 1]
+                && power >= self.power[bin + 1]
+        };
+        Ok(half.filter(stands).unwrap_or(peak))
     }
 
     /// Heart rate at the strongest bin of the band, bpm; no interpolation.
@@ -207,6 +231,28 @@ mod tests {
                 assert!((spectrum.heart_rate_bpm(Band::PAPER)? - bpm).abs() < 0.1, "{rate} {bpm}");
                 assert!((spectrum.heart_rate_interpolated_bpm(Band::PAPER)? - bpm).abs() < 0.06);
             }
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn a_second_harmonic_is_told_from_a_rate() -> Result<()> {
+        let mix = |slow: f64, amplitude: f64| -> Vec<f64> {
+            let pairs = tone(slow, 30.0, 900).into_iter().zip(tone(2.0 * slow, 30.0, 900));
+            pairs.map(|(first, second)| amplitude * first + second).collect()
+        };
+        for (slow, amplitude, wanted) in [
+            (54.0, 0.9, 54.0),
+            (54.0, 0.6, 54.0),
+            (54.0, 0.3, 108.0),
+            (54.0, 0.0, 108.0),
+            // Half of it lies below the band.
+            (30.0, 0.9, 60.0),
+            (54.0, 1.5, 54.0),
+        ] {
+            let spectrum = Spectrum::of(&mix(slow, amplitude), 30.0, Resolution::FINE)?;
+            let found = 60.0 * spectrum.hertz(spectrum.fundamental_bin(Band::TOOLBOX)?);
+            assert!((found - wanted).abs() < 0.2, "{slow} {amplitude}: {found}");
         }
         Ok(())
     }
