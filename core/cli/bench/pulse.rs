@@ -90,8 +90,10 @@ fn pooled(figures: &[Figures]) -> Pooled {
         ("attribute.waveform_pearson", named("with.attribute.waveform_pearson")),
         ("attribute.macc", named("with.attribute.macc")),
         ("rendered.pos.hr_mae_bpm", named("decode.rendered.pos.hr_error_bpm")),
-        // POS band-passes twice; a slow pulse with a strong dicrotic wave may come out as its second harmonic.
-        ("rendered.pos.octave_errors", figures.iter().filter(|f| is_octave_error(f)).count() as f64),
+        // The toolbox's reading, the strongest bin: a slow pulse with a strong dicrotic wave may come out as its second
+        // harmonic, which the figure above asks about.
+        ("rendered.pos.toolbox_hr_mae_bpm", named("toolbox.rendered.pos.hr_error_bpm")),
+        ("rendered.pos.toolbox_octave_errors", figures.iter().filter(|f| is_octave_error(f)).count() as f64),
         ("rendered.chrom.hr_mae_bpm", named("decode.rendered.chrom.hr_error_bpm")),
         ("rendered.omit.hr_mae_bpm", named("decode.rendered.omit.hr_error_bpm")),
         ("rendered.pos.snr_db", named("decode.rendered.pos.snr_db")),
@@ -103,9 +105,9 @@ fn pooled(figures: &[Figures]) -> Pooled {
     ]
 }
 
-/// Whether POS reads about twice the rate that was written.
+/// Whether POS reads about twice the rate that was written, by the toolbox's reading.
 fn is_octave_error(figures: &Figures) -> bool {
-    let ratio = figures.get("decode.rendered.pos.hr_bpm") / figures.get("with.reference.hr_bpm");
+    let ratio = figures.get("toolbox.rendered.pos.hr_bpm") / figures.get("with.reference.hr_bpm");
     (1.9..2.1).contains(&ratio)
 }
 

@@ -33,8 +33,10 @@ params! {
         normalised_over: NormalisedOver = NormalisedOver::Clip, choices(&["Clip", "Chunk"]);
         /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm), rPPG-Toolbox's (0.6–3.3 Hz, next
         /// power of two), or rPPG-Toolbox's with bins of at most 0.1 bpm.
-        /// POS band-passes by itself; the toolbox's wider band does not do it twice.
-        convention: Convention = Convention::ToolboxFine, choices(&["Paper", "Toolbox", "ToolboxFine"]);
+        /// POS band-passes by itself; the toolbox's wider band hardly does it twice. Fundamental is ToolboxFine that also asks
+        /// whether the strongest bin is a second harmonic, which POS prefers below about 60 bpm.
+        convention: Convention = Convention::ToolboxFine,
+            choices(&["Paper", "Toolbox", "ToolboxFine", "Fundamental"]);
         /// Length of the windows whose errors the table sums up and the Bland–Altman plot shows.
         window_seconds: f64 = 10.0, unit("s"), range(1.0, 3600.0);
     }

@@ -15,6 +15,8 @@ pub enum Convention {
     Toolbox,
     /// rPPG-Toolbox's band with bins of at most 0.1 bpm.
     ToolboxFine,
+    /// As ToolboxFine, and the fundamental rather than its second harmonic where both stand out.
+    Fundamental,
 }
 
 /// Which pixels count.
@@ -84,6 +86,7 @@ impl Convention {
             Self::Paper => Preset::Paper,
             Self::Toolbox => Preset::Toolbox,
             Self::ToolboxFine => Preset::ToolboxFine,
+            Self::Fundamental => Preset::Fundamental,
         }
     }
 }

@@ -53,8 +53,8 @@ pub fn recordings(count: usize, ppg: &[PathBuf], folder: &Path) -> Result<Vec<Re
     for (row, tone) in TONES.into_iter().enumerate() {
         for (column, light) in LIGHTS.into_iter().enumerate() {
             let index = 4 * row + column;
-            // Rates from 62 to 122 bpm in an order that neither tone nor light follows.
-            let bpm = 62 + 4 * ((7 * index + 14) % 16);
+            // Rates from 52 to 127 bpm in an order that neither tone nor light follows.
+            let bpm = 52 + 5 * ((7 * index + 14) % 16);
             let sets = [format!("heart_rate_bpm={bpm}"), "motion=0.2".to_owned()];
             all.push(recording((tone, light), "still".to_owned(), index, &sets));
         }
@@ -64,7 +64,7 @@ pub fn recordings(count: usize, ppg: &[PathBuf], folder: &Path) -> Result<Vec<Re
         let (pulse, sets) = match windows.get(k) {
             Some((name, file)) => (name.clone(), vec![format!("ppg={}", file.display()), "motion=0.7".to_owned()]),
             None => {
-                let bpm = 64 + 7 * (k * 3 % MOVING);
+                let bpm = 58 + 7 * (k * 3 % MOVING);
                 let sets = [format!("heart_rate_bpm={bpm}"), "hrv_ms=60".to_owned(), "motion=0.7".to_owned()];
                 ("moving".to_owned(), sets.to_vec())
             }
