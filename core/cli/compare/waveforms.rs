@@ -118,7 +118,7 @@ fn window(wanted: &[f64], found: &[f64], rate_hertz: f64) -> Window {
     let band = Band::PAPER;
     let rate = |signal: &[f64]| {
         let spectrum = Spectrum::of(signal, rate_hertz, Resolution::FINE).ok()?;
-        Some((spectrum.heart_rate_interpolated_bpm(band).ok()?, spectrum))
+        Some((spectrum.refined_bpm(spectrum.peak_bin(band).ok()?), spectrum))
     };
     let (mut error, mut snr) = (f64::NAN, f64::NAN);
     if let (Some((wanted_bpm, _)), Some((found_bpm, spectrum))) = (rate(wanted), rate(found)) {

@@ -52,7 +52,7 @@ impl Reader {
         let found = self.protocol.estimate(signal, rate_hertz)?;
         let bpm = match self.mode {
             RateMode::Peak => found.peak_bpm()?,
-            RateMode::Fft if self.between_bins => found.spectrum.heart_rate_interpolated_bpm(self.protocol.band)?,
+            RateMode::Fft if self.between_bins => found.spectrum.refined_bpm(self.protocol.bin(&found.spectrum)?),
             RateMode::Fft => found.bpm,
         };
         Ok(HeartRate { bpm, ..found })

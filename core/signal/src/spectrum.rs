@@ -128,21 +128,19 @@ impl Spectrum {
         Ok(60.0 * self.hertz(self.peak_bin(band)?))
     }
 
-    /// Heart rate by a parabola through the logarithms of the strongest bin and its neighbours, bpm.
-    ///
-    /// # Errors
-    /// As [`peak_bin`](Self::peak_bin).
-    pub fn heart_rate_interpolated_bpm(&self, band: Band) -> Result<f64> {
-        let bin = self.peak_bin(band)?;
+    /// Rate at the top of a parabola through the logarithms of a bin and its neighbours, bpm; the bin's own where there is
+    /// none.
+    pub fn refined_bpm(&self, bin: usize) -> f64 {
+        let power = self.power.get(bin).copied().unwrap_or(0.0);
         let offset = match (bin.checked_sub(1).map(|b| self.power[b]), self.power.get(bin + 1)) {
             (Some(left), Some(&right)) if left > 0.0 && right > 0.0 => {
-                let (l, c, r) = (left.ln(), self.power[bin].ln(), right.ln());
+                let (l, c, r) = (left.ln(), power.ln(), right.ln());
                 let curvature = l - 2.0 * c + r;
                 if curvature < 0.0 { (0.5 * (l - r) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
             }
             _ => 0.0,
         };
-        Ok(60.0 * (bin as f64 + offset) * self.step_hertz)
+        60.0 * (bin as f64 + offset) * self.step_hertz
     }
 
     /// Power within 0.1 Hz of the reference rate and of its double, over the band's other power, in dB. 0 when nothing
@@ -229,7 +227,7 @@ mod tests {
                 let spectrum = Spectrum::of(&signal, rate, Resolution::FINE)?;
                 assert!(spectrum.step_hertz * 60.0 <= 0.1);
                 assert!((spectrum.heart_rate_bpm(Band::PAPER)? - bpm).abs() < 0.1, "{rate} {bpm}");
-                assert!((spectrum.heart_rate_interpolated_bpm(Band::PAPER)? - bpm).abs() < 0.06);
+                assert!((spectrum.refined_bpm(spectrum.peak_bin(Band::PAPER)?) - bpm).abs() < 0.06);
             }
         }
         Ok(())

@@ -28,7 +28,7 @@ params! {
     pub struct HrEstimator {
         /// Band, bins and filter: the paper's (0.75–3.0 Hz, bins of at most 0.1 bpm), rPPG-Toolbox's (0.6–3.3 Hz, next
         /// power of two), or rPPG-Toolbox's with bins of at most 0.1 bpm.
-        convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox", "ToolboxFine"]);
+        convention: Convention = Convention::Paper, choices(&["Paper", "Toolbox", "ToolboxFine", "Fundamental"]);
         /// Strongest bin of the spectrum, or mean distance of maxima.
         mode: Mode = Mode::Fft, choices(&["Fft", "Peak"]);
         /// Read between bins, by a parabola through the strongest bin and its neighbours.
