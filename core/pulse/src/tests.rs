@@ -58,7 +58,7 @@ fn read_bpm(signal: &[f64], rate_hertz: f64) -> f64 {
         let window = |(t, v): (usize, &f64)| v * (std::f64::consts::PI * t as f64 / clean.len() as f64).sin().powi(2);
         let windowed: Vec<f64> = clean.iter().enumerate().map(window).collect();
         let spectrum = Spectrum::of(&windowed, rate_hertz, Resolution::Bin { bpm: 0.05 })?;
-        Ok(spectrum.refined_bpm(spectrum.peak_bin(band)?))
+        Ok::<_, heartian_signal::SignalError>(spectrum.refined_bpm(spectrum.peak_bin(band)?))
     };
     read().unwrap_or(f64::NAN)
 }
