@@ -63,7 +63,7 @@ impl Node for BenchmarkDecoder {
             "table",
             "One row a clip and decoder: the figures, and errors over windows with standard errors.",
         ),
-        Port::one::<Files>("files", "decoders.csv, decoders.parquet; with a reference, bland_altman.png."),
+        Port::one::<Files>("files", "decoders.csv, decoders.parquet; with a reference, bland_altman_CLIP.png."),
     ];
 
     fn sources(&self) -> Vec<SourceFile> {
@@ -207,7 +207,7 @@ mod tests {
         assert!(mae[0] < 1.5 && mae[2].is_nan());
         let files = outputs.get("files").unwrap().downcast::<Files>().unwrap();
         let names: Vec<&str> = files.iter().map(|(name, _)| name).collect();
-        assert_eq!(names, ["bland_altman.png", "decoders.csv", "decoders.parquet"]);
+        assert_eq!(names, ["bland_altman_rendered.png", "decoders.csv", "decoders.parquet"]);
         let traces = outputs.get("traces").unwrap().downcast::<Traces>().unwrap();
         assert_eq!(
             traces.0.iter().map(|trace| trace.label.as_str()).collect::<Vec<_>>(),

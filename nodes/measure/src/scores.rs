@@ -28,9 +28,12 @@ pub(crate) struct Scores {
     reference: Option<Reference>,
     metrics: Metrics,
     rows: Vec<Vec<Cell>>,
-    /// Predicted and reference rates of windows, by clip and decoder.
-    pairs: Vec<(String, Vec<(f64, f64)>)>,
+    /// Predicted and reference rates of windows, by clip, then by decoder.
+    pairs: Vec<(String, Groups)>,
 }
+
+/// Pairs of rates by decoder.
+type Groups = Vec<(String, Vec<(f64, f64)>)>;
 
 impl Scores {
     pub(crate) fn new(protocol: Protocol, window_seconds: f64, reference: Option<Reference>) -> Self {
@@ -63,7 +66,10 @@ impl Scores {
         self.rows.push(row);
         if !windows.is_empty() {
             let pairs = windows.iter().map(|window| (window.predicted_bpm, window.reference_bpm)).collect();
-            self.pairs.push((name, pairs));
+            match self.pairs.iter_mut().find(|(other, _)| other == clip) {
+                Some((_, groups)) => groups.push((key.to_owned(), pairs)),
+                None => self.pairs.push((clip.to_owned(), vec![(key.to_owned(), pairs)])),
+            }
         }
     }
 
@@ -87,8 +93,12 @@ impl Scores {
         let mut files = Files::new()
             .with("decoders.csv", table_csv(&table).into_bytes())?
             .with("decoders.parquet", table_parquet(&table))?;
-        if let Some(picture) = agreement_picture(self.pairs)? {
-            files = files.with("bland_altman.png", picture)?;
+        for (clip, groups) in self.pairs {
+            if let Some(picture) = agreement_picture(groups)? {
+                // Labels come from graphs; a file's name must stay one.
+                let name: String = clip.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
+                files = files.with(&format!("bland_altman_{name}.png"), picture)?;
+            }
         }
         Ok((self.metrics, table, files))
     }
@@ -101,8 +111,8 @@ fn over_windows(metrics: Option<DatasetMetrics>) -> [[f64; 2]; 6] {
     })
 }
 
-/// The Bland–Altman plot of all windows; nothing without two of them.
-fn agreement_picture(groups: Vec<(String, Vec<(f64, f64)>)>) -> Result<Option<Vec<u8>>, NodeError> {
+/// The Bland–Altman plot of a clip's windows; nothing without two of them.
+fn agreement_picture(groups: Groups) -> Result<Option<Vec<u8>>, NodeError> {
     let finite = groups.iter().flat_map(|(_, pairs)| pairs).filter(|(p, g)| p.is_finite() && g.is_finite());
     let (predicted, reference): (Vec<f64>, Vec<f64>) = finite.copied().unzip();
     if predicted.len() < 2 {
