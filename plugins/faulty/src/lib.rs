@@ -1,14 +1,12 @@
 //! A plugin that misbehaves, for the host's tests: how is written in the file itself, behind [`FAULT`], so that one build
 //! gives a library of each kind by changing a few bytes. Speaks the bare ABI; written against all advice.
 
+mod describe;
 mod faults;
 
 use std::io::Write;
 
-use heartian_plugin_abi::{
-    HEARTIAN_ABI_MAJOR, HEARTIAN_ABI_MINOR, HEARTIAN_FAILED, HEARTIAN_MAGIC, HEARTIAN_OK, HeartianBytes,
-    HeartianDescribe, HeartianHost, HeartianPlugin,
-};
+use heartian_plugin_abi::{HEARTIAN_ABI_MAJOR, HEARTIAN_ABI_MINOR, HEARTIAN_MAGIC, HeartianHost, HeartianPlugin};
 
 /// The fault's name, between the mark and the first dot.
 #[used]
@@ -45,7 +43,7 @@ static mut PLUGIN: HeartianPlugin = HeartianPlugin {
     abi_major: HEARTIAN_ABI_MAJOR,
     abi_minor: HEARTIAN_ABI_MINOR,
     reserved: 0,
-    describe: Some(describe),
+    describe: Some(describe::describe),
     run: Some(faults::run),
     suite: None,
 };
@@ -68,23 +66,4 @@ unsafe extern "C" fn heartian_plugin_v1(_: *const HeartianHost) -> *const Hearti
         _ => {}
     }
     plugin
-}
-
-unsafe extern "C" fn describe(call: *const HeartianDescribe) -> i32 {
-    // SAFETY: the host passes its own struct.
-    let call = unsafe { &*call };
-    let (Some(write), Some(fail)) = (call.write, call.fail) else { return HEARTIAN_FAILED };
-    let text = match fault().as_str() {
-        "describe_panics" => panic!("describing is hard"),
-        "describe_fails" => {
-            let (message, remedy) = (HeartianBytes::of(b"no licence"), HeartianBytes::of(b"buy one"));
-            // SAFETY: the host copies the bytes.
-            unsafe { fail(call.context, message, remedy) };
-            return HEARTIAN_FAILED;
-        }
-        fault => faults::description(fault),
-    };
-    // SAFETY: as above.
-    unsafe { write(call.context, HeartianBytes::of(text.as_bytes())) };
-    HEARTIAN_OK
 }
