@@ -13,6 +13,7 @@ use miette::{IntoDiagnostic, Result, miette};
 
 use crate::arguments::{PluginArguments, PluginsAction};
 use crate::manual;
+use crate::sizes;
 use crate::summary::table;
 
 /// Who may run inside the program, in the current folder.
@@ -107,21 +108,11 @@ fn limits(arguments: &PluginArguments) -> Result<PluginLimits> {
             usable.ok_or_else(|| miette!("--plugin-timeout takes a number of seconds above 0, not {seconds}"))?;
     }
     if let Some(text) = &arguments.memory {
-        limits.memory_bytes = bytes(text)
-            .ok_or_else(|| miette!(help = "for example 4G or 512M", "--plugin-memory does not understand `{text}`"))?;
+        limits.memory_bytes = sizes::parse(text).map_err(|wrong| {
+            miette!(help = "for example 4G or 512M", "--plugin-memory does not understand `{text}`: {wrong}")
+        })?;
     }
     Ok(limits)
-}
-
-/// `4G`, `512M`, `64k`, `1000`: bytes, by powers of 1024.
-fn bytes(text: &str) -> Option<u64> {
-    let (digits, shift) = match text.char_indices().last()? {
-        (end, 'k' | 'K') => (&text[..end], 10),
-        (end, 'm' | 'M') => (&text[..end], 20),
-        (end, 'g' | 'G') => (&text[..end], 30),
-        _ => (text, 0),
-    };
-    digits.parse::<u64>().ok()?.checked_mul(1 << shift)
 }
 
 /// The user's folder of a sort for Heartian: that of an environment variable, or one below the home folder.

@@ -99,11 +99,11 @@ pub fn evidence(found: &HeartRate, windows: &[WindowRate], others_bpm: &[f64]) -
     })
 }
 
-/// Power of the strongest bin over the strongest one that is neither near it nor near its double.
+/// Power of the strongest bin over the strongest one that is neither near the rate found nor near its double.
 fn prominence_db(found: &HeartRate) -> Result<f64> {
     let spectrum = &found.spectrum;
     let peak = spectrum.peak_bin(found.band)?;
-    let first = spectrum.hertz(peak);
+    let first = found.bpm / 60.0;
     let other = |bin: &usize| {
         let hertz = spectrum.hertz(*bin);
         let away = |harmonic: f64| (hertz - harmonic).abs() > OTHER_PEAK_HERTZ;
