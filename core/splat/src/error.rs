@@ -26,6 +26,9 @@ pub enum SplatError {
     /// A camera that makes no picture.
     #[error("the camera cannot be used: {0}")]
     Camera(&'static str),
+    /// A device that does not exist, is not known, or was lost.
+    #[error("device: {0}")]
+    Device(String),
     /// A light file that cannot be read.
     #[error("light {path}: {reason}")]
     Light {

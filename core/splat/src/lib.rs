@@ -8,6 +8,7 @@ mod adam;
 mod bin;
 mod blend_weights;
 mod brdf;
+mod device;
 mod environment;
 mod error;
 mod gaussians;
@@ -29,6 +30,7 @@ mod tests;
 
 pub use adam::{Adam, AdamOptions};
 pub use blend_weights::{Csr, blend_weights};
+pub use device::Device;
 pub use environment::{Environment, RADIANCE_COEFFICIENTS};
 pub use error::SplatError;
 pub use gaussians::{Activated, Gaussians, MAX_CHANNELS, RawGaussians, SceneGradients, logit, sigmoid};
