@@ -9,19 +9,20 @@ const LINES: usize = 500;
 const ROOT_LINES: usize = 80;
 
 /// Each crate and what it may see; what those see, it may see too.
-const LADDER: [(&str, &[&str]); 18] = [
+const LADDER: [(&str, &[&str]); 19] = [
     ("artifact", &[]),
     ("ops", &[]),
+    ("foreign", &[]),
     ("plugin-abi", &[]),
     ("plugin", &["plugin-abi", "artifact"]),
     ("graph", &["artifact", "plugin-abi"]),
     ("space", &["artifact"]),
     ("signal", &["space"]),
     ("report", &["space"]),
-    ("face", &["space", "ops"]),
-    ("decoder", &["signal", "ops"]),
+    ("face", &["space", "ops", "foreign"]),
+    ("decoder", &["signal", "ops", "foreign"]),
     ("splat", &["space", "ops"]),
-    ("capture", &["space", "face"]),
+    ("capture", &["space", "face", "foreign"]),
     ("avatar", &["splat", "face"]),
     ("pulse", &["space", "signal", "ops"]),
     ("nodes-capture", &["graph", "capture"]),

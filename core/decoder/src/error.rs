@@ -158,3 +158,9 @@ pub enum DecoderError {
     #[error(transparent)]
     Ops(#[from] heartian_ops::ShapeError),
 }
+
+impl From<heartian_foreign::ForeignError> for DecoderError {
+    fn from(error: heartian_foreign::ForeignError) -> Self {
+        Self::Format { what: error.what().to_owned(), remedy: error.remedy() }
+    }
+}

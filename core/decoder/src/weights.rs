@@ -4,15 +4,15 @@
 //! `module.` prefix is dropped. Bounds: [`MOST_BYTES`] of file, [`MOST_VALUES`] values in all tensors together.
 
 mod archive;
-mod element;
-mod pickle;
+mod torch;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 
+use heartian_foreign::Element;
+
 use crate::DecoderError;
-use element::Element;
 
 /// Largest weight file read, bytes; the largest published one is 30 MB.
 pub const MOST_BYTES: u64 = 1 << 29;
@@ -83,7 +83,7 @@ impl Weights {
         let mut left = MOST_VALUES;
         for (name, view) in file.iter() {
             let shape = view.shape().to_vec();
-            let Some(element) = Element::of_safetensors(view.dtype()) else {
+            let Some(element) = floating(view.dtype()) else {
                 weights.integers.insert(name.to_owned());
                 continue;
             };
@@ -160,6 +160,17 @@ impl Weights {
     /// A tensor by name.
     pub fn get(&self, name: &str) -> Option<&Tensor> {
         self.tensors.get(name)
+    }
+}
+
+/// The form of a safetensors type; `None` for integers and forms no network here uses.
+fn floating(dtype: safetensors::Dtype) -> Option<Element> {
+    match dtype {
+        safetensors::Dtype::F16 => Some(Element::Half),
+        safetensors::Dtype::BF16 => Some(Element::Brain),
+        safetensors::Dtype::F32 => Some(Element::Single),
+        safetensors::Dtype::F64 => Some(Element::Double),
+        _ => None,
     }
 }
 

@@ -4,11 +4,11 @@
 //! by several tensors is read once; views (offset, strides) are copied out row-major.
 
 use std::collections::HashMap;
-use std::io::{Cursor, Read};
+use std::io::Cursor;
 
-use zip::ZipArchive;
+use heartian_foreign::Archive;
 
-use super::pickle::{self, Kind, TensorRecord};
+use super::torch::{self, Kind, TensorRecord};
 use super::{MOST_VALUES, Tensor, Weights, damaged};
 use crate::DecoderError;
 
@@ -18,22 +18,20 @@ const AGAIN: &str = "copy or download it again";
 
 /// Reads all tensors of the archive.
 pub fn read(bytes: &[u8]) -> Result<Weights, DecoderError> {
-    let mut zip = ZipArchive::new(Cursor::new(bytes))
-        .map_err(|error| damaged(&format!("its zip directory is damaged ({error})"), AGAIN))?;
-    let pickle_name =
-        zip.file_names().find(|name| *name == "data.pkl" || name.ends_with("/data.pkl")).map(str::to_owned);
+    let mut zip = Archive::open(Cursor::new(bytes))?;
+    let pickle_name = zip.names().find(|name| *name == "data.pkl" || name.ends_with("/data.pkl")).map(str::to_owned);
     let pickle_name = pickle_name.ok_or_else(|| {
         damaged("it is a zip archive without `data.pkl`", "give a .pth file written by torch.save, not another archive")
     })?;
     let prefix = pickle_name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
-    if member(&mut zip, &format!("{prefix}byteorder"), 16).is_ok_and(|order| order == b"big") {
+    if zip.member(&format!("{prefix}byteorder"), 16).is_ok_and(|order| order == b"big") {
         return Err(damaged("it was written on a big-endian machine", "write it again on a little-endian one"));
     }
-    let pickle = member(&mut zip, &pickle_name, MOST_PICKLE_BYTES)?;
+    let pickle = zip.member(&pickle_name, MOST_PICKLE_BYTES)?;
     let mut storages = Storages { zip, prefix, read: HashMap::new(), values_left: MOST_VALUES };
     let mut weights = Weights::default();
     let mut values_left = MOST_VALUES;
-    for (name, record) in pickle::read(&pickle)? {
+    for (name, record) in torch::read(&pickle)? {
         if record.kind == Kind::Integer {
             weights.integers.insert(name);
             continue;
@@ -46,19 +44,6 @@ pub fn read(bytes: &[u8]) -> Result<Weights, DecoderError> {
         weights.insert(name, Tensor { shape: record.shape, data })?;
     }
     weights.without_prefix()
-}
-
-/// A member's bytes; longer ones are an error.
-fn member(zip: &mut ZipArchive<Cursor<&[u8]>>, name: &str, most: u64) -> Result<Vec<u8>, DecoderError> {
-    let fail =
-        |error: String| damaged(&format!("its member `{}` cannot be read ({error})", name.escape_debug()), AGAIN);
-    let file = zip.by_name(name).map_err(|error| fail(error.to_string()))?;
-    let mut bytes = Vec::new();
-    file.take(most + 1).read_to_end(&mut bytes).map_err(|error| fail(error.to_string()))?;
-    if bytes.len() as u64 > most {
-        return Err(fail(format!("it is longer than {most} bytes")));
-    }
-    Ok(bytes)
 }
 
 /// Number of values of a view and one past the last index it touches; `None` if that leaves the storage or overflows.
@@ -96,7 +81,7 @@ fn gather(storage: &[f32], record: &TensorRecord, count: usize) -> Vec<f32> {
 
 /// Storages by key, each read once.
 struct Storages<'a> {
-    zip: ZipArchive<Cursor<&'a [u8]>>,
+    zip: Archive<Cursor<&'a [u8]>>,
     prefix: String,
     read: HashMap<String, Vec<f32>>,
     values_left: usize,
@@ -115,7 +100,7 @@ impl Storages<'_> {
             }
             let path = format!("{}data/{}", self.prefix, record.storage);
             let most = (record.storage_len * element.bytes()) as u64;
-            let values = element.decode(&member(&mut self.zip, &path, most)?);
+            let values = element.decode(&self.zip.member(&path, most)?);
             self.values_left -= values.len();
             self.read.insert(record.storage.clone(), values);
         }
