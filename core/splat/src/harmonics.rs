@@ -58,6 +58,17 @@ pub(crate) fn basis<V: Lanes>([x, y, z]: [Wide<V>; 3]) -> [Wide<V>; COUNT] {
     ]
 }
 
+/// Adds `weight·factor·d` to a gradient, leaving out what is `None`.
+#[inline(always)]
+fn add<V: Lanes>(g: &mut [Wide<V>; 3], weight: Wide<V>, factor: f32, d: [Option<Wide<V>>; 3]) {
+    let k = weight * factor;
+    for (g, d) in g.iter_mut().zip(d) {
+        if let Some(d) = d {
+            *g = k.mul_add(d, *g);
+        }
+    }
+}
+
 /// Gradient at a direction of `Σ weights_i · Y_i`.
 #[inline(always)]
 pub(crate) fn gradient<V: Lanes>([x, y, z]: [Wide<V>; 3], w: &[Wide<V>; COUNT]) -> [Wide<V>; 3] {
@@ -67,34 +78,26 @@ pub(crate) fn gradient<V: Lanes>([x, y, z]: [Wide<V>; 3], w: &[Wide<V>; COUNT]) 
     let z73 = zz * 7.0 + -3.0;
     let xyz = xy * z;
     let mut g = [w[3] * C1, w[1] * C1, w[2] * C1];
-    let mut add = |i: usize, factor: f32, d: [Option<Wide<V>>; 3]| {
-        let k = w[i] * factor;
-        for (g, d) in g.iter_mut().zip(d) {
-            if let Some(d) = d {
-                *g = k.mul_add(d, *g);
-            }
-        }
-    };
-    add(4, C2[0], [Some(y), Some(x), None]);
-    add(5, C2[0], [None, Some(z), Some(y)]);
-    add(6, C2[1], [None, None, Some(z * 6.0)]);
-    add(7, C2[0], [Some(z), None, Some(x)]);
-    add(8, C2[2], [Some(x * 2.0), Some(y * -2.0), None]);
-    add(9, C3[0], [Some(xy * 6.0), Some(difference * 3.0), None]);
-    add(10, C3[1], [Some(yz), Some(xz), Some(xy)]);
-    add(11, C3[2], [None, Some(z5), Some(yz * 10.0)]);
-    add(12, C3[3], [None, None, Some(zz * 15.0 + -3.0)]);
-    add(13, C3[2], [Some(z5), None, Some(xz * 10.0)]);
-    add(14, C3[4], [Some(xz * 2.0), Some(yz * -2.0), Some(difference)]);
-    add(15, C3[0], [Some(difference * 3.0), Some(xy * -6.0), None]);
-    add(16, C4[0], [Some(y * three_x), Some(x * three_y), None]);
-    add(17, C4[1], [Some(xyz * 6.0), Some(z * difference * 3.0), Some(y * three_x)]);
-    add(18, C4[2], [Some(y * z7), Some(x * z7), Some(xyz * 14.0)]);
-    add(19, C4[3], [None, Some(z * z73), Some(y * (zz * 21.0 + -3.0))]);
-    add(20, C4[4], [None, None, Some(z * (zz * 140.0 + -60.0))]);
-    add(21, C4[3], [Some(z * z73), None, Some(x * (zz * 21.0 + -3.0))]);
-    add(22, C4[5], [Some(x * z7 * 2.0), Some(y * z7 * -2.0), Some(z * difference * 14.0)]);
-    add(23, C4[1], [Some(z * difference * 3.0), Some(xyz * -6.0), Some(x * three_y)]);
-    add(24, C44, [Some(x * three_y * 4.0), Some(y * three_x * -4.0), None]);
+    add(&mut g, w[4], C2[0], [Some(y), Some(x), None]);
+    add(&mut g, w[5], C2[0], [None, Some(z), Some(y)]);
+    add(&mut g, w[6], C2[1], [None, None, Some(z * 6.0)]);
+    add(&mut g, w[7], C2[0], [Some(z), None, Some(x)]);
+    add(&mut g, w[8], C2[2], [Some(x * 2.0), Some(y * -2.0), None]);
+    add(&mut g, w[9], C3[0], [Some(xy * 6.0), Some(difference * 3.0), None]);
+    add(&mut g, w[10], C3[1], [Some(yz), Some(xz), Some(xy)]);
+    add(&mut g, w[11], C3[2], [None, Some(z5), Some(yz * 10.0)]);
+    add(&mut g, w[12], C3[3], [None, None, Some(zz * 15.0 + -3.0)]);
+    add(&mut g, w[13], C3[2], [Some(z5), None, Some(xz * 10.0)]);
+    add(&mut g, w[14], C3[4], [Some(xz * 2.0), Some(yz * -2.0), Some(difference)]);
+    add(&mut g, w[15], C3[0], [Some(difference * 3.0), Some(xy * -6.0), None]);
+    add(&mut g, w[16], C4[0], [Some(y * three_x), Some(x * three_y), None]);
+    add(&mut g, w[17], C4[1], [Some(xyz * 6.0), Some(z * difference * 3.0), Some(y * three_x)]);
+    add(&mut g, w[18], C4[2], [Some(y * z7), Some(x * z7), Some(xyz * 14.0)]);
+    add(&mut g, w[19], C4[3], [None, Some(z * z73), Some(y * (zz * 21.0 + -3.0))]);
+    add(&mut g, w[20], C4[4], [None, None, Some(z * (zz * 140.0 + -60.0))]);
+    add(&mut g, w[21], C4[3], [Some(z * z73), None, Some(x * (zz * 21.0 + -3.0))]);
+    add(&mut g, w[22], C4[5], [Some(x * z7 * 2.0), Some(y * z7 * -2.0), Some(z * difference * 14.0)]);
+    add(&mut g, w[23], C4[1], [Some(z * difference * 3.0), Some(xyz * -6.0), Some(x * three_y)]);
+    add(&mut g, w[24], C44, [Some(x * three_y * 4.0), Some(y * three_x * -4.0), None]);
     g
 }

@@ -6,7 +6,7 @@
 //! Pixels; camera frame x right, y down, z forward. After Zwicker et al. 2001 and Kerbl et al. 2023.
 
 use crate::gaussians::Gaussians;
-use crate::lanes::wide::{Wide, dot};
+use crate::lanes::wide::{Wide, dot, each};
 use crate::lanes::{Lanes, MAX_LANES, dispatched};
 use heartian_space::Camera;
 
@@ -251,22 +251,42 @@ unsafe fn factors<V: Lanes>(view: &View, block: &Block<INPUTS>, from: usize) -> 
     // SAFETY: the caller's contract.
     let get = |k: usize| Wide(unsafe { V::load(block[k].as_ptr().add(from)) });
     let (mean, scale) = ([get(0), get(1), get(2)], [get(3), get(4), get(5)]);
-    let in_camera = [0, 1, 2].map(|r| {
-        let [x, y, z] = view.rows[r];
-        mean[0] * x + mean[1] * y + mean[2] * z + view.translation[r]
-    });
+    let in_camera = each(
+        #[inline(always)]
+        |r| {
+            let [x, y, z] = view.rows[r];
+            mean[0] * x + mean[1] * y + mean[2] * z + view.translation[r]
+        },
+    );
     let inverse_z = in_camera[2].recip();
     // SAFETY: as above.
     let (unit, inverse_norm) = unsafe { unit_quaternion([get(6), get(7), get(8), get(9)]) };
     let axes = rotation_columns(unit);
     let free = [in_camera[0] * inverse_z, in_camera[1] * inverse_z];
-    let slope = [0, 1].map(|k| free[k].clamp(view.low[k], view.high[k]));
-    let t = [0, 1].map(|k| {
-        let scaled = inverse_z * view.focal[k];
-        // SAFETY: as above.
-        [0, 1, 2].map(|c| scaled * (unsafe { Wide::splat(view.rows[k][c]) } - slope[k] * view.rows[2][c]))
-    });
-    let a = t.map(|row| [0, 1, 2].map(|j| scale[j] * dot(axes[j], row)));
+    let slope = each(
+        #[inline(always)]
+        |k: usize| free[k].clamp(view.low[k], view.high[k]),
+    );
+    let t: [Vector<V>; 2] = each(
+        #[inline(always)]
+        |k: usize| {
+            let scaled = inverse_z * view.focal[k];
+            // SAFETY: as above.
+            each(
+                #[inline(always)]
+                |c: usize| scaled * (unsafe { Wide::splat(view.rows[k][c]) } - slope[k] * view.rows[2][c]),
+            )
+        },
+    );
+    let a = each(
+        #[inline(always)]
+        |k: usize| {
+            each(
+                #[inline(always)]
+                |j: usize| scale[j] * dot(axes[j], t[k]),
+            )
+        },
+    );
     Factors { in_camera, inverse_z, scale, unit, inverse_norm, axes, t, a, free, slope }
 }
 
@@ -280,10 +300,16 @@ unsafe fn unit_quaternion<V: Lanes>(q: [Wide<V>; 4]) -> ([Wide<V>; 4], Wide<V>) 
     let usable = largest.inside(QUATERNION_MIN, f32::MAX);
     // Scaled first, so that neither large nor small norms leave the range.
     let by_largest = largest.clamp(QUATERNION_MIN, f32::MAX).recip();
-    let q = q.map(|v| v * by_largest);
+    let q: [Wide<V>; 4] = each(
+        #[inline(always)]
+        |k: usize| q[k] * by_largest,
+    );
     let norm2 = q[0].mul_add(q[0], q[1].mul_add(q[1], q[2].mul_add(q[2], q[3] * q[3])));
     let inverse = norm2.sqrt().recip();
-    let unit = q.map(|v| v * inverse);
+    let unit: [Wide<V>; 4] = each(
+        #[inline(always)]
+        |k: usize| q[k] * inverse,
+    );
     // SAFETY: the caller's contract.
     let (one, zero) = unsafe { (Wide::splat(1.0), Wide::splat(0.0)) };
     let unit = [
@@ -368,9 +394,15 @@ unsafe fn backward_lanes<V: Lanes>(
             // A's column j is s_j·(T·axis_j).
             let (mut on_scale, mut on_axes, mut on_t) = ([zero; 3], [[zero; 3]; 3], [[zero; 3]; 2]);
             for j in 0..3 {
-                let column = [0, 1, 2].map(|c| f.t[0][c] * on_a[0][j] + f.t[1][c] * on_a[1][j]);
+                let column: Vector<V> = each(
+                    #[inline(always)]
+                    |c: usize| f.t[0][c] * on_a[0][j] + f.t[1][c] * on_a[1][j],
+                );
                 on_scale[j] = dot(f.axes[j], column);
-                on_axes[j] = column.map(|c| c * f.scale[j]);
+                on_axes[j] = each(
+                    #[inline(always)]
+                    |c: usize| column[c] * f.scale[j],
+                );
                 for (row, on_a) in on_t.iter_mut().zip(&on_a) {
                     let share = f.scale[j] * on_a[j];
                     for (t, axis) in row.iter_mut().zip(f.axes[j]) {
@@ -379,9 +411,12 @@ unsafe fn backward_lanes<V: Lanes>(
                 }
             }
             let on_camera = camera_gradient(view, &f, on_mean, on_depth, on_t);
-            let on_world = [0, 1, 2].map(|c| {
-                on_camera[0] * view.rows[0][c] + on_camera[1] * view.rows[1][c] + on_camera[2] * view.rows[2][c]
-            });
+            let on_world: Vector<V> = each(
+                #[inline(always)]
+                |c: usize| {
+                    on_camera[0] * view.rows[0][c] + on_camera[1] * view.rows[1][c] + on_camera[2] * view.rows[2][c]
+                },
+            );
             let on_rotation = rotation_gradient(f.unit, f.inverse_norm, &on_axes);
             for (row, value) in out.iter_mut().zip(on_world.into_iter().chain(on_scale).chain(on_rotation)) {
                 value.0.store(row.as_mut_ptr().add(from));
@@ -421,16 +456,22 @@ fn rotation_gradient<V: Lanes>([w, x, y, z]: [Wide<V>; 4], inverse_norm: Wide<V>
     let m = |row: usize, column: usize| d[column][row];
     let (twist_x, twist_y, twist_z) = (m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1));
     let (mix_xy, mix_xz, mix_yz) = (m(0, 1) + m(1, 0), m(0, 2) + m(2, 0), m(1, 2) + m(2, 1));
-    let unit = [
+    let half = [
         x * twist_x + y * twist_y + z * twist_z,
         x * (m(1, 1) + m(2, 2)) * -2.0 + y * mix_xy + z * mix_xz + w * twist_x,
         x * mix_xy - y * (m(0, 0) + m(2, 2)) * 2.0 + z * mix_yz + w * twist_y,
         x * mix_xz + y * mix_yz - z * (m(0, 0) + m(1, 1)) * 2.0 + w * twist_z,
-    ]
-    .map(|g| g * 2.0);
+    ];
+    let unit: [Wide<V>; 4] = each(
+        #[inline(always)]
+        |k: usize| half[k] * 2.0,
+    );
     let along = w * unit[0] + x * unit[1] + y * unit[2] + z * unit[3];
     let q = [w, x, y, z];
-    [0, 1, 2, 3].map(|k| (unit[k] - q[k] * along) * inverse_norm)
+    each(
+        #[inline(always)]
+        |k: usize| (unit[k] - q[k] * along) * inverse_norm,
+    )
 }
 
 dispatched! { fn project_block(view: &View, block: &Block<INPUTS>, out: &mut Block<PROJECTED>) = project_lanes; }

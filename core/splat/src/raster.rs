@@ -259,15 +259,21 @@ unsafe fn forward_tile<V: Lanes, const C: usize>(job: &TileJob, out: &PlanePoint
             }
             let record = &job.records[entry as usize * (RECORD_HEAD + C)..][..RECORD_HEAD + C];
             let falloff = V::splat(record[7]);
-            for_each_vector::<V>(record, job, alive, |at, row, u, rows| {
-                let transmittance = buffers.transmittance.as_mut_ptr().add(at);
-                let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
-                step.next.store(transmittance);
-                for (plane, &feature) in buffers.planes.iter_mut().zip(&record[RECORD_HEAD..]) {
-                    let value = plane.as_mut_ptr().add(at);
-                    step.weight.mul_add(V::splat(feature), V::load(value)).store(value);
-                }
-            });
+            for_each_vector::<V>(
+                record,
+                job,
+                alive,
+                #[inline(always)]
+                |at, row, u, rows| {
+                    let transmittance = buffers.transmittance.as_mut_ptr().add(at);
+                    let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
+                    step.next.store(transmittance);
+                    for (plane, &feature) in buffers.planes.iter_mut().zip(&record[RECORD_HEAD..]) {
+                        let value = plane.as_mut_ptr().add(at);
+                        step.weight.mul_add(V::splat(feature), V::load(value)).store(value);
+                    }
+                },
+            );
         }
         for row in 0..job.size[1] {
             let to = (job.origin[1] + row) * out.width + job.origin[0];
@@ -333,34 +339,40 @@ unsafe fn backward_tile<V: Lanes, const C: usize>(job: &TileJob, picture: &Plane
             let falloff = V::splat(record[7]);
             let mut moments = [V::zero(); SLOT_HEAD];
             let mut on_features = [V::zero(); C];
-            for_each_vector::<V>(record, job, alive, |at, row, u, rows| {
-                let transmittance = buffers.transmittance.as_mut_ptr().add(at);
-                let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
-                step.next.store(transmittance);
-                let mut towards = V::zero();
-                for c in 0..C {
-                    let g = V::load(buffers.planes[c].as_ptr().add(at));
-                    towards = g.mul_add(V::splat(record[RECORD_HEAD + c]), towards);
-                    on_features[c] = step.weight.mul_add(g, on_features[c]);
-                }
-                let behind = buffers.behind.as_mut_ptr().add(at);
-                let own = step.weight.mul(towards);
-                let rest = V::load(behind).sub(own);
-                rest.store(behind);
-                // α·dL/dα = α·T·(f·g) − α/(1−α)·(what lies behind); nothing flows where α was clamped.
-                let free = V::both(step.drawn, step.raw.lt(V::splat(ALPHA_MAX)));
-                let share = step.alpha.div(V::splat(1.0).sub(step.alpha));
-                let dp = share.neg_mul_add(rest, own).keep(free);
-                let dy = V::splat(rows.dy[row]);
-                let (dp_u, dp_dy) = (dp.mul(u), dp.mul(dy));
-                moments[0] = moments[0].add(dp);
-                moments[1] = moments[1].add(dp_u);
-                moments[2] = dp_u.mul_add(u, moments[2]);
-                moments[3] = moments[3].add(dp_dy);
-                moments[4] = dp_u.mul_add(dy, moments[4]);
-                moments[5] = dp_dy.mul_add(dy, moments[5]);
-                moments[6] = moments[6].add(step.weight);
-            });
+            for_each_vector::<V>(
+                record,
+                job,
+                alive,
+                #[inline(always)]
+                |at, row, u, rows| {
+                    let transmittance = buffers.transmittance.as_mut_ptr().add(at);
+                    let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(transmittance));
+                    step.next.store(transmittance);
+                    let mut towards = V::zero();
+                    for c in 0..C {
+                        let g = V::load(buffers.planes[c].as_ptr().add(at));
+                        towards = g.mul_add(V::splat(record[RECORD_HEAD + c]), towards);
+                        on_features[c] = step.weight.mul_add(g, on_features[c]);
+                    }
+                    let behind = buffers.behind.as_mut_ptr().add(at);
+                    let own = step.weight.mul(towards);
+                    let rest = V::load(behind).sub(own);
+                    rest.store(behind);
+                    // α·dL/dα = α·T·(f·g) − α/(1−α)·(what lies behind); nothing flows where α was clamped.
+                    let free = V::both(step.drawn, step.raw.lt(V::splat(ALPHA_MAX)));
+                    let share = step.alpha.div(V::splat(1.0).sub(step.alpha));
+                    let dp = share.neg_mul_add(rest, own).keep(free);
+                    let dy = V::splat(rows.dy[row]);
+                    let (dp_u, dp_dy) = (dp.mul(u), dp.mul(dy));
+                    moments[0] = moments[0].add(dp);
+                    moments[1] = moments[1].add(dp_u);
+                    moments[2] = dp_u.mul_add(u, moments[2]);
+                    moments[3] = moments[3].add(dp_dy);
+                    moments[4] = dp_u.mul_add(dy, moments[4]);
+                    moments[5] = dp_dy.mul_add(dy, moments[5]);
+                    moments[6] = moments[6].add(step.weight);
+                },
+            );
             slot[..SLOT_HEAD].copy_from_slice(&V::sum_eight(moments));
             for (s, v) in slot[SLOT_HEAD..].iter_mut().zip(on_features) {
                 *s = v.sum();
@@ -405,14 +417,20 @@ unsafe fn weigh_entry_lanes<V: Lanes>(
     // SAFETY: as in `forward_tile`.
     unsafe {
         let falloff = V::splat(record[7]);
-        for_each_vector::<V>(record, job, ALL_ROWS, |place, row, u, rows| {
-            let (at, x) = (transmittance.as_mut_ptr().add(place), place % ROW_STRIDE);
-            let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(at));
-            step.next.store(at);
-            let mut lanes = [0.0; MAX_LANES];
-            step.weight.store(lanes.as_mut_ptr());
-            found.extend(lanes.iter().enumerate().filter(|(_, w)| **w > 0.0).map(|(i, &w)| (x + i, row, w)));
-        });
+        for_each_vector::<V>(
+            record,
+            job,
+            ALL_ROWS,
+            #[inline(always)]
+            |place, row, u, rows| {
+                let (at, x) = (transmittance.as_mut_ptr().add(place), place % ROW_STRIDE);
+                let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(at));
+                step.next.store(at);
+                let mut lanes = [0.0; MAX_LANES];
+                step.weight.store(lanes.as_mut_ptr());
+                found.extend(lanes.iter().enumerate().filter(|(_, w)| **w > 0.0).map(|(i, &w)| (x + i, row, w)));
+            },
+        );
     }
 }
 

@@ -15,7 +15,7 @@ use crate::brdf::{Tables, tables};
 use crate::environment::{COSINE_BANDS, Environment};
 use crate::error::{SplatError, expect_length};
 use crate::harmonics::{BAND_OF, BANDS, COUNT, basis, gradient};
-use crate::lanes::wide::{Wide, dot};
+use crate::lanes::wide::{Wide, dot, each};
 use crate::lanes::{Lanes, MAX_LANES, dispatched};
 use crate::render::Frame;
 use glam::{Vec2, Vec3};
@@ -257,10 +257,16 @@ unsafe fn surface<V: Lanes>(block: &Block<INPUTS>, tables: &Tables, from: usize)
         let inverse_alpha = alpha.clamp(ALPHA_SHADED, 1.0).recip();
         let raw = [get(channel::NORMAL), get(channel::NORMAL + 1), get(channel::NORMAL + 2)];
         let inverse_length = (dot(raw, raw) + NORMAL_SOFTNESS).sqrt().recip();
-        let normal = raw.map(|n| n * inverse_length);
+        let normal: [Wide<V>; 3] = each(
+            #[inline(always)]
+            |k: usize| raw[k] * inverse_length,
+        );
         let view = [get(DEFERRED_CHANNELS + 1), get(DEFERRED_CHANNELS + 2), get(DEFERRED_CHANNELS + 3)];
         let facing = dot(normal, view);
-        let mirrored = [0, 1, 2].map(|k| normal[k] * facing * 2.0 - view[k]);
+        let mirrored = each(
+            #[inline(always)]
+            |k: usize| normal[k] * facing * 2.0 - view[k],
+        );
         let roughness = get(channel::ROUGHNESS) * inverse_alpha;
         let reflectance = get(channel::REFLECTANCE) * inverse_alpha;
         let (mut cosines, mut roughnesses) = ([0.0; MAX_LANES], [0.0; MAX_LANES]);
@@ -293,7 +299,16 @@ unsafe fn surface<V: Lanes>(block: &Block<INPUTS>, tables: &Tables, from: usize)
             roughness,
             reflectance,
             shaded,
-            lobe: [std::array::from_fn(|l| table(6 + l)), std::array::from_fn(|l| table(6 + BANDS + l))],
+            lobe: [
+                each(
+                    #[inline(always)]
+                    |l: usize| table(6 + l),
+                ),
+                each(
+                    #[inline(always)]
+                    |l: usize| table(6 + BANDS + l),
+                ),
+            ],
             brdf: [[table(0), table(1)], [table(2), table(3)], [table(4), table(5)]],
         }
     }
@@ -370,7 +385,10 @@ unsafe fn backward_lanes<V: Lanes>(
         unsafe {
             let s = surface::<V>(block, tables, from);
             let lit = light_up(&s, light);
-            let g = [0, 1, 2].map(|c| part::<V>(&rgb[c], from) * s.shaded);
+            let g: [Wide<V>; 3] = each(
+                #[inline(always)]
+                |c: usize| part::<V>(&rgb[c], from) * s.shaded,
+            );
             let zero = Wide::<V>::splat(0.0);
             let f0 = s.reflectance.clamp(0.0, 1.0);
             let grazing = (f0 * GRAZING_GAIN).clamp(0.0, 1.0);

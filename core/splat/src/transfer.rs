@@ -44,7 +44,7 @@ unsafe fn transfer<V: Lanes>(linear: V) -> (V, V) {
     }
 }
 
-/// Applies `f` to `N` values at a time, the last ones through a padded copy.
+/// Applies `f` to `N` values at a time, to be inlined with it, the last ones through a padded copy.
 ///
 /// # Safety
 /// Inside a function with the features of `V`.
@@ -69,7 +69,14 @@ unsafe fn map<V: Lanes>(linear: &[f32], out: &mut [f32], f: impl Fn(V, V) -> V) 
 #[inline(always)]
 unsafe fn encode_lanes<V: Lanes>(linear: &[f32], out: &mut [f32]) {
     // SAFETY: V's features are here by contract.
-    unsafe { map::<V>(linear, out, |x, _| transfer(x).0) };
+    unsafe {
+        map::<V>(
+            linear,
+            out,
+            #[inline(always)]
+            |x, _| transfer(x).0,
+        )
+    };
 }
 
 /// # Safety
@@ -77,7 +84,14 @@ unsafe fn encode_lanes<V: Lanes>(linear: &[f32], out: &mut [f32]) {
 #[inline(always)]
 unsafe fn slope_lanes<V: Lanes>(linear: &[f32], gradient: &mut [f32]) {
     // SAFETY: V's features are here by contract.
-    unsafe { map::<V>(linear, gradient, |x, g| g.mul(transfer(x).1)) };
+    unsafe {
+        map::<V>(
+            linear,
+            gradient,
+            #[inline(always)]
+            |x, g| g.mul(transfer(x).1),
+        )
+    };
 }
 
 dispatched! { fn encode(linear: &[f32], out: &mut [f32]) = encode_lanes; }
