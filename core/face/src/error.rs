@@ -12,6 +12,20 @@ pub enum FaceError {
         /// What contradicts what.
         reason: String,
     },
+    /// The installable head model is not there, or damaged.
+    #[error(transparent)]
+    HeadNotInstalled(Box<crate::models::ModelsError>),
+    /// A user's head file cannot be read.
+    #[error(
+        "{}: {reason}; give FLAME 2020 or 2023 as .pkl or .npz, with its landmark embedding as .npz or .npy, \
+         or a head file of Heartian's", path.display()
+    )]
+    HeadFile {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// A parameter vector is longer than the basis it multiplies.
     #[error("{what} has {found} coefficients but the head model `{name}` has only {expected}")]
     Coefficients {

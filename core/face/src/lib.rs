@@ -4,6 +4,7 @@
 //! frontal face before the camera of our clips has `world_from_head` ≈ (identity, (0, 0, −1)).
 
 mod error;
+mod heads;
 mod model;
 pub mod models;
 pub mod nets;
@@ -14,6 +15,7 @@ mod track;
 mod tracker;
 
 pub use error::FaceError;
+pub use heads::HeadSource;
 pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};
 pub use observations::{Landmark, Observations};
 pub use skinning::vertex_normals;

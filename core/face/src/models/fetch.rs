@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::{ModelsError, Package, archive};
+use super::catalogue::Package;
+use super::{ModelsError, archive};
 
 /// A package client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,6 +65,11 @@ pub(crate) struct Fetched {
 }
 
 impl Fetched {
+    /// The package's file.
+    pub fn archive(&self) -> &Path {
+        &self.archive
+    }
+
     /// A member, or a range of its bytes.
     pub fn member(&self, package: &Package, name: &str, range: Option<(usize, usize)>) -> Result<Vec<u8>, ModelsError> {
         let wrong = |reason| ModelsError::Package { package: format!("{} {}", package.name, package.version), reason };
@@ -105,7 +111,11 @@ pub(crate) fn fetch(package: &Package, directory: &Path) -> Result<Fetched, Mode
             Err(_) => {}
         }
     }
-    Err(ModelsError::NoClient { directory: directory.to_owned() })
+    let clients = match package.client {
+        Client::Npm => "`npm`",
+        Client::Pip => "`pip`",
+    };
+    Err(ModelsError::NoClient { clients, directory: directory.to_owned() })
 }
 
 fn only_file(folder: &Path) -> Option<PathBuf> {
