@@ -10,6 +10,7 @@ pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments}
 
 use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
+use crate::bench::splat::SplatBench;
 use crate::export::ExportArguments;
 use crate::measure::MeasureArguments;
 use crate::sizes;
@@ -179,6 +180,8 @@ pub enum Bench {
     Pulse(PulseBenchArguments),
     /// Networks and methods: seconds a chunk of each, beside rPPG-Toolbox's
     Decoder(DecoderBench),
+    /// The rasteriser: milliseconds and errors of a scene of yours, or over splats, resolution and precision
+    Splat(SplatBench),
 }
 
 /// How the pulse is measured.

@@ -4,6 +4,7 @@
 pub mod decoder;
 pub mod graph;
 mod pulse;
+pub mod splat;
 
 use std::process::ExitCode;
 
@@ -17,5 +18,6 @@ pub fn run(bench: &Bench) -> Result<ExitCode> {
         Bench::Graph(arguments) => graph::run(arguments),
         Bench::Pulse(arguments) => pulse::run(arguments),
         Bench::Decoder(arguments) => decoder::run(arguments),
+        Bench::Splat(arguments) => splat::run(arguments),
     }
 }

@@ -2,6 +2,7 @@
 
 mod agreement;
 mod canvas;
+mod cost;
 mod csv;
 mod face_map;
 mod figure;
@@ -12,6 +13,7 @@ mod trade_off;
 
 pub use agreement::{Agreement, agreement_figure};
 pub use canvas::{decode_png, encode_png};
+pub use cost::{CostLine, CostPoint, cost_figure};
 pub use csv::table_csv;
 pub use face_map::{FaceMap, face_maps};
 pub use figure::{Curve, waveform_figure};

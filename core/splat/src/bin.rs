@@ -2,8 +2,10 @@
 //! scene, whatever the number of threads; a Gaussian is in a tile's list exactly when its region of alpha ≥ 1/255
 //! reaches a row of the tile's pixel centres inside the tile's columns (up to [`SLACK_PX`]).
 
+use crate::lanes::{Lanes, dispatched};
 use crate::project::Splat;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Tile width, pixels: wider than high, because the lanes run along rows.
 pub(crate) const TILE_WIDTH: usize = 32;
@@ -11,6 +13,18 @@ pub(crate) const TILE_WIDTH: usize = 32;
 pub(crate) const TILE_HEIGHT: usize = 16;
 /// Widening of every span, pixels, against rounding: the kernel tests alpha itself.
 pub(crate) const SLACK_PX: f32 = 2e-3;
+/// Most (Gaussian, tile) pairs of a frame: about a gibibyte of lists, six of gradients.
+pub(crate) const MOST_PAIRS: usize = 1 << 27;
+/// Tiles from which lists are made by one thread: more would need too many counters.
+const SERIAL_TILES: usize = 1 << 16;
+
+/// A Gaussian in a tile's list.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Entry {
+    pub gaussian: u32,
+    /// Where its gradients in this tile go: a Gaussian's slots lie together, in the order of its tiles.
+    pub slot: u32,
+}
 
 /// Tile lists of one frame.
 #[derive(Clone, Debug, Default)]
@@ -20,41 +34,94 @@ pub(crate) struct Tiles {
     pub rows: usize,
     /// `tiles + 1` offsets into `entries`.
     pub offsets: Vec<u32>,
-    /// Position in depth order of each entry's splat, tile after tile.
-    pub entries: Vec<u32>,
-    /// `splats + 1` offsets into `places`.
-    pub place_offsets: Vec<u32>,
-    /// For each splat in depth order, the entries it has, tile after tile.
-    pub places: Vec<u32>,
+    /// The lists, tile after tile, front to back.
+    pub entries: Vec<Entry>,
+    /// `gaussians + 1` offsets into the slots.
+    pub slot_offsets: Vec<u32>,
 }
 
-/// Indices of `depths` in ascending order, ties in ascending index; depths are positive and finite.
-pub(crate) fn order_by_depth(depths: &[f32]) -> Vec<u32> {
+/// The tiles that consecutive Gaussians reach, one after another, and how many each.
+#[derive(Default)]
+pub(crate) struct Reached {
+    pub tiles: Vec<u32>,
+    pub counts: Vec<u32>,
+}
+
+impl Reached {
+    /// Adds the next Gaussian; gives whether it reaches any tile.
+    #[inline(always)]
+    fn push(&mut self, splat: Option<&Splat>, size: [usize; 2]) -> bool {
+        let (before, columns) = (self.tiles.len(), size[0].div_ceil(TILE_WIDTH));
+        if let Some(splat) = splat {
+            for_each_tile_row(
+                splat,
+                size,
+                #[inline(always)]
+                |row, from, to| self.tiles.extend((from..=to).map(|column| (row * columns + column) as u32)),
+            );
+        }
+        self.counts.push((self.tiles.len() - before) as u32);
+        self.tiles.len() > before
+    }
+}
+
+/// Adds Gaussians to `reached` and sets the key of each that reaches no tile to 0.
+///
+/// # Safety
+/// Inside a function with the features of `V`: scalar code, but rounding is one instruction from AVX2 on.
+#[inline(always)]
+unsafe fn reach_lanes<V: Lanes>(splats: &[Splat], keys: &mut [u64], size: [usize; 2], reached: &mut Reached) {
+    for (splat, key) in splats.iter().zip(keys) {
+        if !reached.push((*key != 0).then_some(splat), size) {
+            *key = 0;
+        }
+    }
+}
+
+dispatched! {
+    /// Adds Gaussians to `reached` and sets the key of each that reaches no tile to 0.
+    pub(crate) fn reach(splats: &[Splat], keys: &mut [u64], size: [usize; 2], reached: &mut Reached) = reach_lanes;
+}
+
+/// Indices of the keys that are not 0 in ascending order of key, ties in ascending index. The 33 most significant bits
+/// that tell the keys apart are compared.
+pub(crate) fn order_by_key(keys: &[u64]) -> Vec<u32> {
     const BITS: usize = 11;
-    let mut keys: Vec<(u32, u32)> = depths.iter().enumerate().map(|(i, d)| (d.to_bits(), i as u32)).collect();
-    let mut other = vec![(0, 0); keys.len()];
-    for pass in 0..3 {
-        let shift = pass * BITS;
-        let digit = |key: u32| (key >> shift) as usize & ((1 << BITS) - 1);
-        let mut starts = [0u32; 1 << BITS];
-        for &(key, _) in &keys {
-            starts[digit(key)] += 1;
+    const INDEX_BITS: usize = 31;
+    let used = keys.iter().copied().filter(|key| *key != 0);
+    let (low, high) = used.clone().fold((u64::MAX, 0), |(low, high), key| (low.min(key), high.max(key)));
+    let shift = (64 - (high.max(low) - low).leading_zeros() as usize).saturating_sub(64 - INDEX_BITS);
+    let mut pairs: Vec<u64> = Vec::with_capacity(keys.len());
+    let mut starts = [[0u32; 1 << BITS]; 3];
+    let digit = |pair: u64, pass: usize| (pair >> (INDEX_BITS + BITS * pass)) as usize & ((1 << BITS) - 1);
+    for (i, key) in keys.iter().enumerate().filter(|(_, key)| **key != 0) {
+        let pair = ((key - low) >> shift) << INDEX_BITS | i as u64;
+        pairs.push(pair);
+        for (pass, starts) in starts.iter_mut().enumerate() {
+            starts[digit(pair, pass)] += 1;
+        }
+    }
+    let mut other = vec![0; pairs.len()];
+    for (pass, starts) in starts.iter_mut().enumerate() {
+        if starts.iter().any(|&count| count as usize == pairs.len()) {
+            continue;
         }
         let mut sum = 0;
-        for start in &mut starts {
+        for start in starts.iter_mut() {
             sum += std::mem::replace(start, sum);
         }
-        for &pair in &keys {
-            let start = &mut starts[digit(pair.0)];
+        for &pair in &pairs {
+            let start = &mut starts[digit(pair, pass)];
             other[*start as usize] = pair;
             *start += 1;
         }
-        std::mem::swap(&mut keys, &mut other);
+        std::mem::swap(&mut pairs, &mut other);
     }
-    keys.into_iter().map(|(_, i)| i).collect()
+    pairs.into_iter().map(|pair| (pair & ((1 << INDEX_BITS) - 1)) as u32).collect()
 }
 
 /// Range of whole tiles `[first, last]` along one axis that pixel centres in `[low, high]` fall in; empty as (1, 0).
+#[inline(always)]
 fn tile_range(low: f32, high: f32, size: usize, tile: usize) -> (usize, usize) {
     // First and last pixel whose centre (i + ½) lies in the range, cut to the picture; `as` saturates.
     let first = (low - 0.5 - SLACK_PX).ceil().max(0.0) as usize;
@@ -63,14 +130,19 @@ fn tile_range(low: f32, high: f32, size: usize, tile: usize) -> (usize, usize) {
 }
 
 /// The tiles that a splat reaches, as (row, first column, last column).
+#[inline(always)]
 fn for_each_tile_row(splat: &Splat, [width, height]: [usize; 2], mut visit: impl FnMut(usize, usize, usize)) {
-    let [mx, my] = splat.mean;
+    let [mx, my] = splat.mean();
     let [extent_x, extent_y] = splat.extent();
     let (first, last) = tile_range(my - extent_y, my + extent_y, height, TILE_HEIGHT);
     let (left, right) = tile_range(mx - extent_x, mx + extent_x, width, TILE_WIDTH);
     if left >= right {
         // One column of tiles, or none: every row of the range has its part of the ellipse there.
-        (first..=last).filter(|_| left == right).for_each(|row| visit(row, left, right));
+        if left == right {
+            for row in first..=last {
+                visit(row, left, right);
+            }
+        }
         return;
     }
     let variance_y = 1.0 / splat.precision_y;
@@ -79,13 +151,9 @@ fn for_each_tile_row(splat: &Splat, [width, height]: [usize; 2], mut visit: impl
     for row in first..=last {
         let low = ((row * TILE_HEIGHT) as f32 + 0.5 - my).max(-extent_y);
         let high = ((row * TILE_HEIGHT + TILE_HEIGHT) as f32 - 0.5 - my).min(extent_y);
-        let edge = |dy: f32, sign: f32| {
-            let rest = (splat.reach - splat.precision_y * dy * dy).max(0.0);
-            splat.shear * dy + sign * (splat.variance * rest).sqrt()
-        };
         // The extreme over the band is at the ellipse's own extreme if that lies inside, else at the nearer end.
-        let right = edge(dy_right.clamp(low, high.max(low)), 1.0);
-        let left = edge((-dy_right).clamp(low, high.max(low)), -1.0);
+        let right = edge(splat, dy_right.clamp(low, high.max(low)), 1.0);
+        let left = edge(splat, (-dy_right).clamp(low, high.max(low)), -1.0);
         let (from, to) = tile_range(mx + left, mx + right, width, TILE_WIDTH);
         if from <= to {
             visit(row, from, to);
@@ -93,53 +161,93 @@ fn for_each_tile_row(splat: &Splat, [width, height]: [usize; 2], mut visit: impl
     }
 }
 
-/// Splats of a parallel task.
-const CHUNK: usize = 1024;
-
-/// Bins splats given in depth order.
-pub(crate) fn bin(splats: &[Splat], size: [usize; 2]) -> Tiles {
-    let (columns, rows) = (size[0].div_ceil(TILE_WIDTH), size[1].div_ceil(TILE_HEIGHT));
-    let reached: Vec<(Vec<u32>, Vec<u32>)> =
-        splats.par_chunks(CHUNK).map(|chunk| reached(chunk, size, columns)).collect();
-    let total = reached.iter().map(|(tiles, _)| tiles.len()).sum();
-    let (mut place_offsets, mut places) = (Vec::with_capacity(splats.len() + 1), Vec::with_capacity(total));
-    for (tiles, ends) in &reached {
-        place_offsets
-            .extend(std::iter::once(0).chain(ends.iter().copied()).take(ends.len()).map(|e| e + places.len() as u32));
-        places.extend_from_slice(tiles);
-    }
-    place_offsets.push(places.len() as u32);
-    let mut next = vec![0u32; columns * rows + 1];
-    for &tile in &places {
-        next[tile as usize] += 1;
-    }
-    let mut sum = 0;
-    for count in &mut next {
-        sum += std::mem::replace(count, sum);
-    }
-    let offsets = next.clone();
-    let mut entries = vec![0u32; places.len()];
-    for (i, range) in place_offsets.windows(2).enumerate() {
-        for place in &mut places[range[0] as usize..range[1] as usize] {
-            let next = &mut next[*place as usize];
-            entries[*next as usize] = i as u32;
-            *place = *next;
-            *next += 1;
-        }
-    }
-    Tiles { columns, rows, offsets, entries, place_offsets, places }
+/// Offset in x from the centre of the ellipse's right (`sign` 1) or left (−1) edge at `dy`.
+#[inline(always)]
+fn edge(splat: &Splat, dy: f32, sign: f32) -> f32 {
+    let rest = (splat.reach - splat.precision_y * dy * dy).max(0.0);
+    splat.shear * dy + sign * (splat.variance * rest).sqrt()
 }
 
-/// The tiles that splats reach, one splat after another, and where each splat's tiles end.
-fn reached(splats: &[Splat], size: [usize; 2], columns: usize) -> (Vec<u32>, Vec<u32>) {
-    let (mut tiles, mut ends) = (Vec::with_capacity(4 * splats.len()), Vec::with_capacity(splats.len()));
-    for splat in splats {
-        for_each_tile_row(splat, size, |row, from, to| {
-            tiles.extend((from..=to).map(|column| (row * columns + column) as u32));
-        });
-        ends.push(tiles.len() as u32);
+/// A vector's memory, written by several threads at places that differ.
+struct Scattered(*mut Entry);
+// SAFETY: every place is written once, by one thread; the owner outlives the parallel loop.
+unsafe impl Send for Scattered {}
+// SAFETY: as above.
+unsafe impl Sync for Scattered {}
+
+impl Scattered {
+    /// # Safety
+    /// `at` lies inside the allocation and no other thread writes it.
+    unsafe fn write(&self, at: u32, entry: Entry) {
+        // SAFETY: the caller's contract.
+        unsafe { self.0.add(at as usize).write(entry) }
     }
-    (tiles, ends)
+}
+
+/// The lists from the tiles that each Gaussian reaches, chunk after chunk, and the keys of their depth (0 where a
+/// Gaussian reaches none). There are at most [`MOST_PAIRS`] pairs.
+pub(crate) fn bin(reached: &[Reached], keys: &[u64], size: [usize; 2]) -> Tiles {
+    let (columns, rows) = (size[0].div_ceil(TILE_WIDTH), size[1].div_ceil(TILE_HEIGHT));
+    let (tiles, total) = (columns * rows, reached.iter().map(|r| r.tiles.len()).sum::<usize>());
+    let (mut slot_offsets, mut places) = (Vec::with_capacity(keys.len() + 1), Vec::with_capacity(total));
+    let mut sum = 0;
+    for chunk in reached {
+        for count in &chunk.counts {
+            slot_offsets.push(sum);
+            sum += count;
+        }
+        places.extend_from_slice(&chunk.tiles);
+    }
+    slot_offsets.push(sum);
+    let order = order_by_key(keys);
+    let slots = |i: u32| slot_offsets[i as usize] as usize..slot_offsets[i as usize + 1] as usize;
+    let (offsets, entries) = lists(&order, slots, &places, tiles);
+    Tiles { columns, rows, offsets, entries, slot_offsets }
+}
+
+/// Counting sort by tile of the pairs of Gaussians in `order`; `slots` are a Gaussian's pairs, `places` their tiles.
+fn lists(
+    order: &[u32],
+    slots: impl Fn(u32) -> Range<usize> + Sync,
+    places: &[u32],
+    tiles: usize,
+) -> (Vec<u32>, Vec<Entry>) {
+    let threads = if tiles > SERIAL_TILES { 1 } else { rayon::current_num_threads() };
+    // How the order is cut changes nothing: parts are laid one behind another in every tile.
+    let part = order.len().div_ceil(threads).max(2048);
+    let mut next: Vec<Vec<u32>> = order
+        .par_chunks(part)
+        .map(|part| {
+            let mut counts = vec![0u32; tiles];
+            for &tile in part.iter().flat_map(|&i| &places[slots(i)]) {
+                counts[tile as usize] += 1;
+            }
+            counts
+        })
+        .collect();
+    let (mut offsets, mut sum) = (Vec::with_capacity(tiles + 1), 0);
+    for tile in 0..tiles {
+        offsets.push(sum);
+        for counts in &mut next {
+            sum += std::mem::replace(&mut counts[tile], sum);
+        }
+    }
+    offsets.push(sum);
+    let mut entries: Vec<Entry> = Vec::with_capacity(places.len());
+    let target = Scattered(entries.as_mut_ptr());
+    order.par_chunks(part).zip(next.par_iter_mut()).for_each(|(part, next)| {
+        for &gaussian in part {
+            for slot in slots(gaussian) {
+                let at = &mut next[places[slot] as usize];
+                // SAFETY: `at` runs through the places that were counted for this part and tile, which no other has.
+                unsafe { target.write(*at, Entry { gaussian, slot: slot as u32 }) };
+                *at += 1;
+            }
+        }
+    });
+    // SAFETY: each of the `sum` places that were counted was written, and `sum ≤ places.len()` is the capacity.
+    unsafe { entries.set_len(sum as usize) };
+    (offsets, entries)
 }
 
 #[cfg(test)]
@@ -147,10 +255,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn order_is_stable_and_ascending() {
-        let depths = [2.0, 1.0, 2.0, 0.5, 1e6, 1.0];
-        assert_eq!(order_by_depth(&depths), [3, 1, 5, 0, 2, 4]);
-        assert!(order_by_depth(&[]).is_empty());
+    fn order_is_stable_and_ascending_and_finer_than_f32() {
+        let key = |depth: f64| depth.to_bits();
+        let keys = [2.0, 1.0, 2.0, 0.5, 1e6, 1.0].map(key);
+        assert_eq!(order_by_key(&keys), [3, 1, 5, 0, 2, 4]);
+        assert_eq!(order_by_key(&[key(2.0), 0, key(1.0), 0]), [2, 0]);
+        assert_eq!(order_by_key(&[key(1.3 + 1e-9), key(1.3), key(1.3 - 1e-9)]), [2, 1, 0]);
+        assert!(order_by_key(&[]).is_empty() && order_by_key(&[0, 0]).is_empty());
+        assert_eq!(order_by_key(&[key(3.0); 4]), [0, 1, 2, 3]);
     }
 
     /// The lists against every pixel of every tile, by the definition.
@@ -166,22 +278,27 @@ mod tests {
             let (xx, yy) = (0.3 + 120.0 * unit(1) * unit(2), 0.3 + 120.0 * unit(3) * unit(4));
             let xy = (2.0 * unit(5) - 1.0) * 0.99 * (xx * yy - 0.29).max(0.0).sqrt();
             let splat = Splat {
-                mean: [140.0 * unit(6) - 20.0, 100.0 * unit(7) - 20.0],
+                cell: [(140.0 * unit(6) - 20.0).floor(), (100.0 * unit(7) - 20.0).floor()],
+                fraction: [unit(8), unit(9)],
                 depth: 1.0,
                 variance: xx - xy * xy / yy,
                 shear: xy / yy,
                 precision_y: 1.0 / yy,
                 opacity: 0.5,
+                log2_opacity: -1.0,
                 reach: 2.0 * 127.5f32.ln(),
             };
-            let tiles = bin(&[splat], size);
+            let mut reached = Reached::default();
+            let mut keys = [1];
+            reach(&[splat], &mut keys, size, &mut reached);
+            let tiles = bin(&[reached], &keys, size);
             for tile in 0..tiles.columns * tiles.rows {
                 let listed = tiles.offsets[tile + 1] > tiles.offsets[tile];
                 let mut nearest = f64::INFINITY;
                 for y in 0..TILE_HEIGHT {
                     for x in 0..TILE_WIDTH {
-                        let px = (tile % tiles.columns * TILE_WIDTH + x) as f64 + 0.5 - f64::from(splat.mean[0]);
-                        let py = (tile / tiles.columns * TILE_HEIGHT + y) as f64 + 0.5 - f64::from(splat.mean[1]);
+                        let px = (tile % tiles.columns * TILE_WIDTH + x) as f64 + 0.5 - f64::from(splat.mean()[0]);
+                        let py = (tile / tiles.columns * TILE_HEIGHT + y) as f64 + 0.5 - f64::from(splat.mean()[1]);
                         let u = px - f64::from(splat.shear) * py;
                         nearest =
                             nearest.min(u * u / f64::from(splat.variance) + py * py * f64::from(splat.precision_y));

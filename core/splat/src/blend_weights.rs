@@ -105,8 +105,7 @@ fn tile_weights(
     let column_of: [usize; TILE_WIDTH] = std::array::from_fn(|x| (job.origin[0] + x) / cell - first[0]);
     let mut sums = vec![0.0f32; span[0] * span[1]];
     let mut out = Vec::new();
-    raster::weights(&job, prepared.channels, &mut |entry, pixels: &mut dyn Iterator<Item = (usize, usize, f32)>| {
-        let gaussian = prepared.gaussian_of_splat[entry as usize];
+    raster::weights(&job, prepared.channels, &mut |gaussian, pixels: &mut dyn Iterator<Item = (usize, usize, f32)>| {
         if subset.is_some_and(|subset| !subset[gaussian as usize]) {
             return;
         }

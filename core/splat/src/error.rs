@@ -23,6 +23,15 @@ pub enum SplatError {
         /// Largest.
         most: usize,
     },
+    /// More (Gaussian, tile) pairs than memory should hold.
+    #[error(
+        "the Gaussians cover more than {most} tiles of the picture together; make them smaller or fewer, or the picture \
+         smaller"
+    )]
+    Pairs {
+        /// Most.
+        most: usize,
+    },
     /// A camera that makes no picture.
     #[error("the camera cannot be used: {0}")]
     Camera(&'static str),

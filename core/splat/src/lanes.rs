@@ -34,8 +34,22 @@ pub enum SimdLevel {
     Avx512,
 }
 
+impl SimdLevel {
+    /// Values that one vector holds.
+    pub const fn lanes(self) -> usize {
+        match self {
+            Self::Baseline | Self::Avx2 => 8,
+            Self::Avx512 => 16,
+        }
+    }
+}
+
 /// The level in use: the best this machine has, or what `HEARTIAN_SIMD` asks for. Chosen once.
 pub fn simd_level() -> SimdLevel {
+    #[cfg(test)]
+    if let Some(level) = FORCED.get() {
+        return level;
+    }
     static LEVEL: OnceLock<SimdLevel> = OnceLock::new();
     *LEVEL.get_or_init(|| {
         let best = best_level();
@@ -45,6 +59,12 @@ pub fn simd_level() -> SimdLevel {
             _ => best,
         }
     })
+}
+
+#[cfg(test)]
+thread_local! {
+    /// A level that a test asks for on its thread; one that the machine has.
+    pub(crate) static FORCED: std::cell::Cell<Option<SimdLevel>> = const { std::cell::Cell::new(None) };
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -91,8 +111,6 @@ pub(crate) unsafe trait Lanes: Copy {
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
     unsafe fn min(self, other: Self) -> Self;
     unsafe fn max(self, other: Self) -> Self;
-    /// Nearest integer, ties to even.
-    unsafe fn round(self) -> Self;
     /// Lane-wise `self ≥ other`.
     unsafe fn ge(self, other: Self) -> Self::Mask;
     /// Lane-wise `self < other`.
@@ -108,8 +126,6 @@ pub(crate) unsafe trait Lanes: Copy {
     unsafe fn negative(self) -> Self;
     /// `self·2^n`, `self` near 1, where `shifted = n + 1.5·2²³` holds the integer `n` in its low mantissa bits.
     unsafe fn scale_exponent(self, shifted: Self) -> Self;
-    /// Writes the nearest integers; what does not fit is any integer.
-    unsafe fn store_whole(self, to: *mut i32);
     /// Asks for a cache line that is read soon.
     unsafe fn prefetch(_from: *const f32) {}
     /// Splits a positive normal value into mantissa in [1, 2) and exponent.

@@ -3,7 +3,12 @@
 //! The 2-D covariance `Σ = A·Aᵀ + ℓ·I` (A = J·W·R·S, 2×3, ℓ the low-pass) is kept as the conditional form
 //! `p(dx, dy) = −½·(dx − s·dy)²/v − ½·e·dy²` with `e = 1/Σyy`, `s = Σxy/Σyy`, `v = det Σ/Σyy`: a picture row is then one
 //! parabola. `det Σ` is summed from squares (Cauchy–Binet), so needles and pancakes lose no digits.
+//! The centre and the depth are f64, for alpha's cut and the order of near splats feel their last digits.
 //! Pixels; camera frame x right, y down, z forward. After Zwicker et al. 2001 and Kerbl et al. 2023.
+
+mod backward;
+
+pub(crate) use backward::{GeometryGradient, SplatGradient, project_backward};
 
 use crate::gaussians::Gaussians;
 use crate::lanes::wide::{Wide, dot, each};
@@ -38,11 +43,14 @@ pub(crate) const FRUSTUM_MARGIN: f32 = 0.3;
 /// Quaternions shorter than this count as the identity and get no gradient.
 pub(crate) const QUATERNION_MIN: f32 = 1e-12;
 
-/// A projected Gaussian.
+/// A projected Gaussian; all zeros where it is not drawn.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Splat {
-    /// Projected centre, pixels.
-    pub mean: [f32; 2],
+    /// Whole pixels of the projected centre.
+    pub cell: [f32; 2],
+    /// The rest of it, in [0, 1): apart, because a f32 of some hundred pixels is known to 3e-5 only, enough to move dozens
+    /// of a picture's samples across the alpha cut.
+    pub fraction: [f32; 2],
     /// Camera-space z, metres.
     pub depth: f32,
     /// `v`: variance in x at fixed y.
@@ -51,14 +59,36 @@ pub(crate) struct Splat {
     pub shear: f32,
     /// `e = 1/Σyy`.
     pub precision_y: f32,
-    /// Opacity in (0, 1].
+    /// Opacity in (0, 1], and its base-2 logarithm.
     pub opacity: f32,
+    pub log2_opacity: f32,
     /// `2·ln(255·opacity)`: where −2p exceeds it, alpha is below 1/255.
     pub reach: f32,
 }
 
+/// Base-2 logarithm of 255.
+const LOG2_255: f32 = 7.994_353_4;
+
+/// `2·ln(255·opacity)` from the opacity's base-2 logarithm.
+#[inline(always)]
+pub(crate) fn reach(log2_opacity: f32) -> f32 {
+    (log2_opacity + LOG2_255) * (2.0 * std::f32::consts::LN_2)
+}
+
 impl Splat {
+    /// Projected centre, pixels, as one number each.
+    #[inline(always)]
+    pub fn mean(&self) -> [f32; 2] {
+        [self.cell[0] + self.fraction[0], self.cell[1] + self.fraction[1]]
+    }
+
+    /// Whether it is drawn.
+    pub fn is_drawn(&self) -> bool {
+        self.opacity > 0.0
+    }
+
     /// Half-width and half-height in the picture of the region with alpha ≥ 1/255, pixels.
+    #[inline(always)]
     pub fn extent(&self) -> [f32; 2] {
         let variance_y = 1.0 / self.precision_y;
         let variance_x = self.variance + self.shear * self.shear * variance_y;
@@ -70,27 +100,9 @@ impl Splat {
             && self.variance.is_finite()
             && self.shear.is_finite()
             && self.precision_y > 0.0
-            && self.mean.iter().all(|m| m.is_finite())
+            && self.mean().iter().all(|m| m.is_finite())
             && self.extent().iter().all(|m| m.is_finite())
     }
-}
-
-/// Gradients of a loss with respect to a [`Splat`]'s geometry.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SplatGradient {
-    pub mean: [f32; 2],
-    pub variance: f32,
-    pub shear: f32,
-    pub precision_y: f32,
-    pub depth: f32,
-}
-
-/// Gradients of one Gaussian's geometry.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct GeometryGradient {
-    pub mean: [f32; 3],
-    pub scale: [f32; 3],
-    pub rotation: [f32; 4],
 }
 
 /// What projection needs of a camera, prepared once.
@@ -130,12 +142,10 @@ impl View {
 type Block<const K: usize> = [[f32; MAX_LANES]; K];
 /// Mean 3, scale 3, rotation 4, opacity.
 const INPUTS: usize = 11;
-/// Centre 2, depth, variance, shear, precision, reach.
-const PROJECTED: usize = 7;
-/// Centre 2, variance, shear, precision, depth; then the splat's shear and precision.
-const UPSTREAM: usize = 8;
-/// Mean 3, scale 3, rotation 4.
-const GRADIENTS: usize = 10;
+/// Variance, shear, precision, base-2 logarithm of the opacity.
+const PROJECTED: usize = 4;
+/// Whole pixels of the centre 2, the rest of it 2, depth.
+const CENTRE: usize = 5;
 
 fn read_block(gaussians: &Gaussians, indices: &[u32]) -> Block<INPUTS> {
     let mut block = [[0.0; MAX_LANES]; INPUTS];
@@ -153,73 +163,43 @@ fn read_block(gaussians: &Gaussians, indices: &[u32]) -> Block<INPUTS> {
     block
 }
 
-/// Projects the Gaussians of a range and gives those that can be seen; one that has an attribute that makes no Gaussian
-/// cannot.
-pub(crate) fn project(
-    view: &View,
-    gaussians: &Gaussians,
-    range: std::ops::Range<usize>,
-    found: &mut Vec<(u32, Splat)>,
-) {
+/// Projects consecutive Gaussians from `first` on, as many as there are `splats`, and gives each a key that orders by
+/// depth: the bits of its f64. One that cannot be seen, or has an attribute that makes no Gaussian, has key 0.
+pub(crate) fn project(view: &View, gaussians: &Gaussians, first: usize, splats: &mut [Splat], keys: &mut [u64]) {
     let mut indices = [0u32; MAX_LANES];
-    for first in range.clone().step_by(MAX_LANES) {
-        let count = MAX_LANES.min(range.end - first);
-        for (lane, index) in indices[..count].iter_mut().enumerate() {
-            *index = (first + lane) as u32;
+    for (block_index, (splats, keys)) in splats.chunks_mut(MAX_LANES).zip(keys.chunks_mut(MAX_LANES)).enumerate() {
+        for (lane, index) in indices[..splats.len()].iter_mut().enumerate() {
+            *index = (first + block_index * MAX_LANES + lane) as u32;
         }
-        let block = read_block(gaussians, &indices[..count]);
-        let mut out = [[0.0; MAX_LANES]; PROJECTED];
+        let block = read_block(gaussians, &indices[..splats.len()]);
+        let (mut out, mut centres) = ([[0.0; MAX_LANES]; PROJECTED], [[0.0; MAX_LANES]; CENTRE]);
         project_block(view, &block, &mut out);
-        for lane in 0..count {
+        centre_block(view, &block, &mut centres);
+        for (lane, (splat, key)) in splats.iter_mut().zip(keys).enumerate() {
             let get = |k: usize| block[k][lane];
+            let depth = centres[4][lane];
             // NaN fails the comparisons.
             let drawable = get(10) >= ALPHA_MIN
                 && (0..10).all(|k| get(k).is_finite())
                 && (3..6).all(|k| get(k) >= 0.0)
-                && out[2][lane] > view.near
-                && out[2][lane].is_finite();
-            let splat = Splat {
-                mean: [out[0][lane], out[1][lane]],
-                depth: out[2][lane],
-                variance: out[3][lane],
-                shear: out[4][lane],
-                precision_y: out[5][lane],
+                && depth > f64::from(view.near)
+                && depth <= f64::from(f32::MAX);
+            let projected = Splat {
+                cell: [centres[0][lane] as f32, centres[1][lane] as f32],
+                fraction: [centres[2][lane] as f32, centres[3][lane] as f32],
+                depth: depth as f32,
+                variance: out[0][lane],
+                shear: out[1][lane],
+                precision_y: out[2][lane],
                 opacity: get(10).min(1.0),
-                reach: out[6][lane],
+                log2_opacity: out[3][lane],
+                reach: reach(out[3][lane]),
             };
-            if drawable && splat.is_usable() {
-                found.push((indices[lane], splat));
-            }
+            (*splat, *key) = match drawable && projected.is_usable() {
+                true => (projected, depth.to_bits()),
+                false => (Splat::default(), 0),
+            };
         }
-    }
-}
-
-/// Gradients of up to `MAX_LANES` Gaussians' geometry from those of their splats.
-pub(crate) fn project_backward(
-    view: &View,
-    gaussians: &Gaussians,
-    indices: &[u32],
-    splats: &[(Splat, SplatGradient)],
-    out: &mut [GeometryGradient; MAX_LANES],
-) {
-    let block = read_block(gaussians, indices);
-    let mut upstream = [[0.0; MAX_LANES]; UPSTREAM];
-    for (lane, (splat, g)) in splats.iter().enumerate() {
-        let values =
-            [g.mean[0], g.mean[1], g.variance, g.shear, g.precision_y, g.depth, splat.shear, splat.precision_y];
-        for (row, value) in upstream.iter_mut().zip(values) {
-            row[lane] = value;
-        }
-    }
-    let mut gradients = [[0.0; MAX_LANES]; GRADIENTS];
-    backward_block(view, &block, &upstream, &mut gradients);
-    for (lane, out) in out.iter_mut().enumerate().take(indices.len()) {
-        let get = |k: usize| gradients[k][lane];
-        *out = GeometryGradient {
-            mean: [get(0), get(1), get(2)],
-            scale: [get(3), get(4), get(5)],
-            rotation: [get(6), get(7), get(8), get(9)],
-        };
     }
 }
 
@@ -227,7 +207,6 @@ type Vector<V> = [Wide<V>; 3];
 
 /// Everything between a Gaussian and its 2-D covariance.
 struct Factors<V: Lanes> {
-    in_camera: Vector<V>,
     inverse_z: Wide<V>,
     scale: Vector<V>,
     /// Unit quaternion, and one over the given one's norm (0 where it counts as the identity).
@@ -251,7 +230,7 @@ unsafe fn factors<V: Lanes>(view: &View, block: &Block<INPUTS>, from: usize) -> 
     // SAFETY: the caller's contract.
     let get = |k: usize| Wide(unsafe { V::load(block[k].as_ptr().add(from)) });
     let (mean, scale) = ([get(0), get(1), get(2)], [get(3), get(4), get(5)]);
-    let in_camera = each(
+    let in_camera: Vector<V> = each(
         #[inline(always)]
         |r| {
             let [x, y, z] = view.rows[r];
@@ -287,7 +266,7 @@ unsafe fn factors<V: Lanes>(view: &View, block: &Block<INPUTS>, from: usize) -> 
             )
         },
     );
-    Factors { in_camera, inverse_z, scale, unit, inverse_norm, axes, t, a, free, slope }
+    Factors { inverse_z, scale, unit, inverse_norm, axes, t, a, free, slope }
 }
 
 /// The normalised quaternion and one over the given norm; the identity and 0 where there is no direction.
@@ -350,16 +329,7 @@ unsafe fn project_lanes<V: Lanes>(view: &View, block: &Block<INPUTS>, out: &mut 
             let det = dot(area, area) + (xx + yy + view.low_pass) * view.low_pass;
             let precision = (yy + view.low_pass).recip();
             let opacity = Wide(V::load(block[10].as_ptr().add(from))).clamp(ALPHA_MIN, 1.0);
-            let reach = (opacity * 255.0).log2() * (2.0 * std::f32::consts::LN_2);
-            let values = [
-                f.free[0] * view.focal[0] + view.principal[0],
-                f.free[1] * view.focal[1] + view.principal[1],
-                f.in_camera[2],
-                det * precision,
-                xy * precision,
-                precision,
-                reach,
-            ];
+            let values = [det * precision, xy * precision, precision, opacity.log2()];
             for (row, value) in out.iter_mut().zip(values) {
                 value.0.store(row.as_mut_ptr().add(from));
             }
@@ -367,112 +337,31 @@ unsafe fn project_lanes<V: Lanes>(view: &View, block: &Block<INPUTS>, out: &mut 
     }
 }
 
+/// Projected centres and depths in f64: a plain loop, which the compiler vectorises at each level.
+///
 /// # Safety
 /// Inside a function with the features of `V`.
 #[inline(always)]
-unsafe fn backward_lanes<V: Lanes>(
-    view: &View,
-    block: &Block<INPUTS>,
-    upstream: &Block<UPSTREAM>,
-    out: &mut Block<GRADIENTS>,
-) {
-    for from in (0..MAX_LANES).step_by(V::N) {
-        // SAFETY: V::N divides MAX_LANES; V's features are here by contract.
-        unsafe {
-            let f = factors::<V>(view, block, from);
-            let get = |k: usize| Wide(V::load(upstream[k].as_ptr().add(from)));
-            let (on_mean, gv, gs, ge, on_depth) = ([get(0), get(1)], get(2), get(3), get(4), get(5));
-            // v = Σxx − Σxy²/Σyy, s = Σxy/Σyy, e = 1/Σyy.
-            let (s, e) = (get(6), get(7));
-            let (gxx, gxy, gyy) = (gv, e * gs - s * gv * 2.0, s * s * gv - s * e * gs - e * e * ge);
-            let zero = Wide::splat(0.0);
-            let mut on_a = [[zero; 3]; 2];
-            for j in 0..3 {
-                on_a[0][j] = gxx * f.a[0][j] * 2.0 + gxy * f.a[1][j];
-                on_a[1][j] = gyy * f.a[1][j] * 2.0 + gxy * f.a[0][j];
-            }
-            // A's column j is s_j·(T·axis_j).
-            let (mut on_scale, mut on_axes, mut on_t) = ([zero; 3], [[zero; 3]; 3], [[zero; 3]; 2]);
-            for j in 0..3 {
-                let column: Vector<V> = each(
-                    #[inline(always)]
-                    |c: usize| f.t[0][c] * on_a[0][j] + f.t[1][c] * on_a[1][j],
-                );
-                on_scale[j] = dot(f.axes[j], column);
-                on_axes[j] = each(
-                    #[inline(always)]
-                    |c: usize| column[c] * f.scale[j],
-                );
-                for (row, on_a) in on_t.iter_mut().zip(&on_a) {
-                    let share = f.scale[j] * on_a[j];
-                    for (t, axis) in row.iter_mut().zip(f.axes[j]) {
-                        *t = share.mul_add(axis, *t);
-                    }
-                }
-            }
-            let on_camera = camera_gradient(view, &f, on_mean, on_depth, on_t);
-            let on_world: Vector<V> = each(
-                #[inline(always)]
-                |c: usize| {
-                    on_camera[0] * view.rows[0][c] + on_camera[1] * view.rows[1][c] + on_camera[2] * view.rows[2][c]
-                },
-            );
-            let on_rotation = rotation_gradient(f.unit, f.inverse_norm, &on_axes);
-            for (row, value) in out.iter_mut().zip(on_world.into_iter().chain(on_scale).chain(on_rotation)) {
-                value.0.store(row.as_mut_ptr().add(from));
-            }
+unsafe fn centre_lanes<V: Lanes>(view: &View, block: &Block<INPUTS>, out: &mut [[f64; MAX_LANES]; CENTRE]) {
+    for lane in 0..MAX_LANES {
+        let mean = [f64::from(block[0][lane]), f64::from(block[1][lane]), f64::from(block[2][lane])];
+        let mut in_camera = [0.0; 3];
+        for (r, value) in in_camera.iter_mut().enumerate() {
+            let row = view.rows[r];
+            *value = f64::from(row[0]) * mean[0]
+                + f64::from(row[1]) * mean[1]
+                + f64::from(row[2]) * mean[2]
+                + f64::from(view.translation[r]);
         }
+        for k in 0..2 {
+            let at = f64::from(view.focal[k]) * in_camera[k] / in_camera[2] + f64::from(view.principal[k]);
+            let cell = at.floor();
+            out[k][lane] = cell;
+            out[2 + k][lane] = at - cell;
+        }
+        out[4][lane] = in_camera[2];
     }
-}
-
-/// Gradient of the camera-space centre, through the projected centre, the Jacobian's rows and the depth.
-#[inline(always)]
-fn camera_gradient<V: Lanes>(
-    view: &View,
-    f: &Factors<V>,
-    on_mean: [Wide<V>; 2],
-    on_depth: Wide<V>,
-    on_t: [Vector<V>; 2],
-) -> Vector<V> {
-    let mut out = [on_depth; 3];
-    for k in 0..2 {
-        let in_camera =
-            |c: usize| on_t[k][0] * view.rows[c][0] + on_t[k][1] * view.rows[c][1] + on_t[k][2] * view.rows[c][2];
-        let (on_diagonal, on_last) = (in_camera(k), in_camera(2));
-        let scaled = f.inverse_z * view.focal[k];
-        // Row k of J: f/z at column k, −(f/z)·slope at column 2; the slope is free between its bounds.
-        let on_slope = -(scaled * on_last) * f.free[k].within(view.low[k], view.high[k]);
-        let on_free = on_mean[k] * view.focal[k] + on_slope;
-        out[k] = on_free * f.inverse_z;
-        out[2] =
-            out[2] - on_free * f.free[k] * f.inverse_z + (on_last * f.slope[k] - on_diagonal) * scaled * f.inverse_z;
-    }
-    out
-}
-
-/// Gradient of the given quaternion from that of its rotation matrix' columns.
-#[inline(always)]
-fn rotation_gradient<V: Lanes>([w, x, y, z]: [Wide<V>; 4], inverse_norm: Wide<V>, d: &[Vector<V>; 3]) -> [Wide<V>; 4] {
-    let m = |row: usize, column: usize| d[column][row];
-    let (twist_x, twist_y, twist_z) = (m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1));
-    let (mix_xy, mix_xz, mix_yz) = (m(0, 1) + m(1, 0), m(0, 2) + m(2, 0), m(1, 2) + m(2, 1));
-    let half = [
-        x * twist_x + y * twist_y + z * twist_z,
-        x * (m(1, 1) + m(2, 2)) * -2.0 + y * mix_xy + z * mix_xz + w * twist_x,
-        x * mix_xy - y * (m(0, 0) + m(2, 2)) * 2.0 + z * mix_yz + w * twist_y,
-        x * mix_xz + y * mix_yz - z * (m(0, 0) + m(1, 1)) * 2.0 + w * twist_z,
-    ];
-    let unit: [Wide<V>; 4] = each(
-        #[inline(always)]
-        |k: usize| half[k] * 2.0,
-    );
-    let along = w * unit[0] + x * unit[1] + y * unit[2] + z * unit[3];
-    let q = [w, x, y, z];
-    each(
-        #[inline(always)]
-        |k: usize| (unit[k] - q[k] * along) * inverse_norm,
-    )
 }
 
 dispatched! { fn project_block(view: &View, block: &Block<INPUTS>, out: &mut Block<PROJECTED>) = project_lanes; }
-dispatched! { fn backward_block(view: &View, block: &Block<INPUTS>, upstream: &Block<UPSTREAM>, out: &mut Block<GRADIENTS>) = backward_lanes; }
+dispatched! { fn centre_block(view: &View, block: &Block<INPUTS>, out: &mut [[f64; MAX_LANES]; CENTRE]) = centre_lanes; }

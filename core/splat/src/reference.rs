@@ -8,6 +8,7 @@ pub mod harmonics;
 pub mod loss;
 pub mod project;
 pub mod shade;
+pub mod tiled;
 
 use crate::gaussians::Gaussians;
 

@@ -1,8 +1,9 @@
 //! Tests of the whole crate: parity of fast and naive texts, finite differences, poison, determinism, the peers' scenes.
 
 mod gradients;
+mod levels;
 mod lights;
 mod losses;
 mod peers;
 mod poison;
-mod scenes;
+pub(crate) mod scenes;

@@ -25,7 +25,7 @@ register!(BaselineTrainer);
 
 impl Node for BaselineTrainer {
     const KIND: &'static str = "BaselineTrainer";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] =
         &[Port::one::<Clip>("clip", "The recording."), Port::one::<Track>("track", "The head tracked through it.")];
     const OUTPUTS: &'static [Port] = &[

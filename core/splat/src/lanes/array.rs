@@ -84,11 +84,6 @@ unsafe impl Lanes for Array {
         zip(self.0, other.0, |a, b| if a > b { a } else { b })
     }
     #[inline(always)]
-    unsafe fn round(self) -> Self {
-        // Adding and taking away 1.5·2²³ leaves the nearest integer for |x| < 2²².
-        Self(self.0.map(|x| (x + 12_582_912.0) - 12_582_912.0))
-    }
-    #[inline(always)]
     unsafe fn ge(self, other: Self) -> Self::Mask {
         let mut mask = [0; 8];
         for i in 0..8 {
@@ -144,11 +139,6 @@ unsafe impl Lanes for Array {
             out[i] = f32::from_bits(self.0[i].to_bits().wrapping_add(shifted.0[i].to_bits() << 23));
         }
         Self(out)
-    }
-    #[inline(always)]
-    unsafe fn store_whole(self, to: *mut i32) {
-        // SAFETY: the caller gives eight writable values.
-        unsafe { to.cast::<[i32; 8]>().write_unaligned(self.0.map(|x| x.round_ties_even() as i32)) }
     }
     #[inline(always)]
     unsafe fn split_exponent(self) -> (Self, Self) {

@@ -50,10 +50,6 @@ unsafe impl Lanes for Avx2 {
         Self(unsafe { _mm256_fnmadd_ps(self.0, factor.0, addend.0) })
     }
     #[inline(always)]
-    unsafe fn round(self) -> Self {
-        Self(unsafe { _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(self.0) })
-    }
-    #[inline(always)]
     unsafe fn ge(self, other: Self) -> Self::Mask {
         unsafe { _mm256_cmp_ps::<_CMP_GE_OQ>(self.0, other.0) }
     }
@@ -88,10 +84,6 @@ unsafe impl Lanes for Avx2 {
             let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted.0));
             Self(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), exponent)))
         }
-    }
-    #[inline(always)]
-    unsafe fn store_whole(self, to: *mut i32) {
-        unsafe { _mm256_storeu_si256(to.cast(), _mm256_cvtps_epi32(self.0)) }
     }
     #[inline(always)]
     unsafe fn prefetch(from: *const f32) {

@@ -50,10 +50,6 @@ unsafe impl Lanes for Avx512 {
         Self(unsafe { _mm512_fnmadd_ps(self.0, factor.0, addend.0) })
     }
     #[inline(always)]
-    unsafe fn round(self) -> Self {
-        Self(unsafe { _mm512_roundscale_ps::<0>(self.0) })
-    }
-    #[inline(always)]
     unsafe fn ge(self, other: Self) -> Self::Mask {
         unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(self.0, other.0) }
     }
@@ -88,10 +84,6 @@ unsafe impl Lanes for Avx512 {
             let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted.0));
             Self(_mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(self.0), exponent)))
         }
-    }
-    #[inline(always)]
-    unsafe fn store_whole(self, to: *mut i32) {
-        unsafe { _mm512_storeu_si512(to.cast(), _mm512_cvtps_epi32(self.0)) }
     }
     #[inline(always)]
     unsafe fn prefetch(from: *const f32) {

@@ -17,6 +17,8 @@ pub struct Picture {
     pub depth: Vec<f64>,
     /// `height × width`.
     pub transmittance: Vec<f64>,
+    /// How many (Gaussian, pixel) pairs were composited.
+    pub pairs: usize,
 }
 
 /// Gradients in f64; see [`crate::SceneGradients`].
@@ -60,8 +62,11 @@ struct Contribution {
     before: f64,
 }
 
+/// A Gaussian of the scene in the picture.
+pub(super) type Visible = (usize, Projected);
+
 /// Visible Gaussians in order of depth, ties in the order of the scene.
-fn visible(scene: &Scene, camera: &Camera, options: &RasterOptions) -> Vec<(usize, Projected)> {
+pub(super) fn visible(scene: &Scene, camera: &Camera, options: &RasterOptions) -> Vec<Visible> {
     let mut order: Vec<_> =
         (0..scene.len()).filter_map(|i| project(scene, i, camera, options).map(|p| (i, p))).collect();
     order.sort_by(|a, b| a.1.depth.total_cmp(&b.1.depth));
@@ -69,7 +74,7 @@ fn visible(scene: &Scene, camera: &Camera, options: &RasterOptions) -> Vec<(usiz
 }
 
 /// The contributions to the pixel centred at (`x`, `y`), front to back, and the transmittance behind them.
-fn contributions(scene: &Scene, splats: &[(usize, Projected)], [x, y]: [f64; 2]) -> (Vec<Contribution>, f64) {
+fn contributions(scene: &Scene, splats: &[Visible], [x, y]: [f64; 2]) -> (Vec<Contribution>, f64) {
     let (mut found, mut transmittance) = (Vec::new(), 1.0);
     for (splat, (i, projected)) in splats.iter().enumerate() {
         let [xx, xy, yy] = projected.covariance;
@@ -98,25 +103,41 @@ fn pixel_centres(camera: &Camera) -> impl Iterator<Item = [f64; 2]> + '_ {
 
 /// Composites a scene.
 pub fn composite(scene: &Scene, camera: &Camera, options: &RasterOptions) -> Picture {
-    let (splats, pixels) = (visible(scene, camera, options), camera.width * camera.height);
-    let mut out = Picture {
-        planes: vec![0.0; scene.channels * pixels],
-        depth: vec![0.0; pixels],
-        transmittance: vec![1.0; pixels],
-    };
-    for (at, centre) in pixel_centres(camera).enumerate() {
-        let (found, transmittance) = contributions(scene, &splats, centre);
-        out.transmittance[at] = transmittance;
-        for item in found {
-            let (i, projected) = &splats[item.splat];
-            let weight = item.alpha * item.before;
-            out.depth[at] += weight * projected.depth;
-            for c in 0..scene.channels {
-                out.planes[c * pixels + at] += weight * scene.features[i * scene.channels + c];
-            }
-        }
+    let splats = visible(scene, camera, options);
+    let mut out = Picture::empty(scene.channels, camera);
+    for at in 0..camera.width * camera.height {
+        draw(scene, &splats, at, camera.width, &mut out);
     }
     out
+}
+
+impl Picture {
+    /// A picture that nothing was drawn to.
+    pub(super) fn empty(channels: usize, camera: &Camera) -> Self {
+        let pixels = camera.width * camera.height;
+        Self {
+            planes: vec![0.0; channels * pixels],
+            depth: vec![0.0; pixels],
+            transmittance: vec![1.0; pixels],
+            pairs: 0,
+        }
+    }
+}
+
+/// Composites pixel `at` of a picture `width` pixels wide.
+pub(super) fn draw(scene: &Scene, splats: &[Visible], at: usize, width: usize, out: &mut Picture) {
+    let pixels = out.depth.len();
+    let (found, transmittance) = contributions(scene, splats, [(at % width) as f64 + 0.5, (at / width) as f64 + 0.5]);
+    out.transmittance[at] = transmittance;
+    out.pairs += found.len();
+    for item in found {
+        let (i, projected) = &splats[item.splat];
+        let weight = item.alpha * item.before;
+        out.depth[at] += weight * projected.depth;
+        for c in 0..scene.channels {
+            out.planes[c * pixels + at] += weight * scene.features[i * scene.channels + c];
+        }
+    }
 }
 
 /// `Σ gradient · picture`, the loss whose gradients [`backward`] gives.

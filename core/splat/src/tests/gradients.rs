@@ -112,7 +112,7 @@ fn one_thread_and_many_give_the_same_bits() -> Result<(), Box<dyn std::error::Er
     let (owned, camera, options) = (Owned::random(900, 9, 3), camera(200, 120), options(true));
     let gradient = noise(9 * 200 * 120, 1);
     let mut results = Vec::new();
-    for threads in [1, 2, 5] {
+    for threads in [1, 2, 3, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         results.push(pool.install(|| -> Result<_, SplatError> {
             let scene = owned.view();

@@ -1,7 +1,10 @@
 //! Every kind of bad or extreme input has a defined answer: no panic, no NaN, nothing spoilt next to it.
 
 use super::scenes::{Owned, camera, noise, options};
-use crate::{FrameGradient, Gaussians, MAX_CHANNELS, RasterOptions, SplatError, backward, blend_weights, render};
+use crate::{
+    Environment, FrameGradient, Gaussians, MAX_CHANNELS, PhotometricWeights, RasterOptions, SplatError, backward,
+    blend_weights, photometric, render, shade, shade_backward, srgb_encode, srgb_encode_backward,
+};
 use heartian_space::Camera;
 
 /// Renders and differentiates; everything must be finite. Gives the number drawn.
@@ -117,8 +120,8 @@ fn sizes_at_the_edges_are_defined() -> Result<(), SplatError> {
 }
 
 #[test]
-fn a_hundred_thousand_on_one_pixel_saturate() -> Result<(), SplatError> {
-    let n = 100_000;
+fn a_million_on_one_pixel_saturate() -> Result<(), SplatError> {
+    let n = 1_000_000;
     let owned = Owned {
         means: (0..n).map(|i| [0.0, 0.0, -1.0 - 1e-6 * (i % 7) as f32]).collect(),
         scales: vec![[1e-4; 3]; n],
@@ -128,6 +131,68 @@ fn a_hundred_thousand_on_one_pixel_saturate() -> Result<(), SplatError> {
         channels: 1,
     };
     assert_eq!(run(&owned, &camera(33, 17))?, n);
+    Ok(())
+}
+
+#[test]
+fn more_pairs_than_memory_holds_are_refused() {
+    let n = 20_000;
+    let owned = Owned {
+        means: vec![[0.0, 0.0, -1.0]; n],
+        scales: vec![[10.0; 3]; n],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        opacities: vec![0.05; n],
+        features: vec![0.5; n],
+        channels: 1,
+    };
+    let result = render(&owned.view(), &camera(2048, 2048), &options(false));
+    assert!(matches!(result, Err(SplatError::Pairs { .. })), "8192 tiles each");
+}
+
+#[test]
+fn nothing_in_front_of_the_camera_is_an_open_picture_without_gradients() -> Result<(), SplatError> {
+    let mut behind = Owned::random(300, 3, 4);
+    behind.means.iter_mut().for_each(|m| m[2] = -m[2]);
+    let camera = camera(40, 30);
+    assert_eq!(run(&behind, &camera)?, 0);
+    let (prepared, frame) = render(&behind.view(), &camera, &options(true))?;
+    assert!(frame.transmittance.iter().all(|t| *t == 1.0) && frame.planes.iter().all(|v| *v == 0.0));
+    let ones = vec![1.0; frame.planes.len()];
+    let g = backward(&behind.view(), &prepared, &frame, &FrameGradient { planes: &ones, ..FrameGradient::default() })?;
+    assert!(g.means.as_flattened().iter().chain(&g.features).chain(&g.opacities).all(|v| *v == 0.0));
+    Ok(())
+}
+
+/// Picture, shading, encoding, loss and all the way back, for pictures without alpha, all black and over-bright.
+#[test]
+fn empty_black_and_saturated_frames_go_there_and_back() -> Result<(), SplatError> {
+    let camera = camera(48, 40);
+    let pixels = 48 * 40;
+    for (albedo, radiance, target) in
+        [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1e4, 1.0), (1.0, 1e4, 0.0), (0.5, -3.0, 0.5), (1e6, 1e6, 1.0)]
+    {
+        for count in [0, 60] {
+            let mut owned = Owned::random(count, 8, 6);
+            for features in owned.features.chunks_exact_mut(8) {
+                features[..3].fill(albedo);
+            }
+            let light = Environment::uniform([radiance; 3]);
+            let (prepared, frame) = render(&owned.view(), &camera, &options(false))?;
+            let linear = shade(&frame, &camera, &light)?;
+            let image = srgb_encode(&linear);
+            let (target, mut on_image) = (vec![target; 3 * pixels], vec![0.0; 3 * pixels]);
+            let loss = photometric(&image, &target, [48, 40], PhotometricWeights::default(), &mut on_image)?;
+            srgb_encode_backward(&linear, &mut on_image)?;
+            let on_frame = shade_backward(&frame, &camera, &light, &on_image)?;
+            let gradient =
+                FrameGradient { planes: &on_frame.planes, depth: &[], transmittance: &on_frame.transmittance };
+            let g = backward(&owned.view(), &prepared, &frame, &gradient)?;
+            let all = linear.iter().chain(&image).chain(&on_image).chain(&g.features).chain(&g.opacities);
+            let all = all.chain(g.means.as_flattened()).chain(on_frame.radiance.as_flattened());
+            assert!(all.clone().all(|v| v.is_finite()), "albedo {albedo}, light {radiance}, {count} Gaussians");
+            assert!(loss.total.is_finite() && (count > 0 || linear.iter().all(|v| *v == 0.0)));
+        }
+    }
     Ok(())
 }
 
