@@ -38,6 +38,9 @@ pub enum CaptureError {
     /// A video cannot be read.
     #[error(transparent)]
     Video(#[from] crate::video::VideoError),
+    /// A recording of a data set cannot be read.
+    #[error(transparent)]
+    DataSet(#[from] crate::dataset::DataSetError),
     /// The networks are not installed, or damaged.
     #[error(transparent)]
     Models(#[from] heartian_face::models::ModelsError),

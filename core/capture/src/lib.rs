@@ -1,8 +1,12 @@
-//! Video readers and writers, matting, and the synthetic recording with its mesh renderer.
+//! Video and data-set readers and writers, matting, and the synthetic recording with its mesh renderer.
 
 mod crop;
+pub mod dataset;
 mod error;
 pub mod export;
+#[cfg(test)]
+mod fuzz;
+mod guard;
 mod matte;
 mod mesh;
 mod observe;

@@ -1,4 +1,7 @@
-//! Contact PPG from a CSV file: a header `time_s,ppg`, one sample a line, any sampling rate (`heartian_space::read_csv`).
+//! Contact PPG: from a CSV file (a header `time_s,ppg`, one sample a line, any sampling rate) or from a data set.
+//!
+//! A trace may have holes. Its samples stay where they are, the holes are named, and only laying it over frames draws
+//! straight lines across them.
 
 use std::path::{Path, PathBuf};
 
@@ -24,6 +27,76 @@ pub enum PpgError {
         /// What to do.
         remedy: &'static str,
     },
+}
+
+/// A longer pause between samples is a hole when it also lasts this many sampling intervals, seconds.
+const HOLE_SECONDS: f64 = 0.1;
+const HOLE_INTERVALS: f64 = 3.0;
+/// Most holes that are named one by one.
+const HOLES_NAMED: usize = 3;
+
+/// A whole trace, and what is doubtful about it, a line each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trace {
+    /// The samples that are there.
+    pub series: Series,
+    /// Holes and samples left out.
+    pub notes: Vec<String>,
+}
+
+impl Trace {
+    /// From samples of `path` as they come: those that are no number, or not after the one before, are left out and named.
+    ///
+    /// # Errors
+    /// When lengths differ or fewer than two samples are left.
+    pub fn new(path: &Path, times_seconds: Vec<f64>, values: Vec<f64>) -> Result<Self, PpgError> {
+        let (samples, mut unordered, mut last) = (values.len(), None, f64::NEG_INFINITY);
+        let mut kept = (Vec::with_capacity(samples), Vec::with_capacity(samples));
+        for (index, (time, value)) in times_seconds.into_iter().zip(values).enumerate() {
+            if !(time > last && time.is_finite()) {
+                unordered.get_or_insert((index, time));
+            } else if value.is_finite() {
+                kept.0.push(time);
+                kept.1.push(value);
+                last = time;
+            }
+        }
+        let remedy = "give a PPG of your own with `ppg`";
+        let wrong = |source| PpgError::Series { path: path.to_owned(), source, remedy };
+        let left_out = samples - kept.0.len();
+        let mut trace = Self::of(Series::new(kept.0, kept.1).map_err(wrong)?);
+        if trace.series.len() < 2 {
+            return Err(wrong(SpaceError::Empty("the trace, but for one sample,")));
+        }
+        if left_out > 0 {
+            let first =
+                unordered.map(|(index, time)| format!("; sample {index} at {time:.3} s is not after the one before"));
+            trace.notes.insert(0, format!("{left_out} of {samples} samples are left out{}", first.unwrap_or_default()));
+        }
+        Ok(trace)
+    }
+
+    /// Names the holes of a series.
+    pub fn of(series: Series) -> Self {
+        let steps: Vec<f64> = series.times_seconds.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let mut sorted = steps.clone();
+        sorted.sort_by(f64::total_cmp);
+        let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+        let hole = HOLE_SECONDS.max(HOLE_INTERVALS * usual);
+        let holes: Vec<usize> = (0..steps.len()).filter(|k| steps[*k] > hole).collect();
+        let named = |k: &usize| {
+            format!(
+                "the pulse has no sample from {:.2} s to {:.2} s",
+                series.times_seconds[*k],
+                series.times_seconds[k + 1]
+            )
+        };
+        let mut notes: Vec<String> = holes.iter().take(HOLES_NAMED).map(named).collect();
+        if holes.len() > HOLES_NAMED {
+            notes.push(format!("the pulse has {} more holes", holes.len() - HOLES_NAMED));
+        }
+        Self { series, notes }
+    }
 }
 
 /// A PPG trace as recorded, and on the clip's frame times.
@@ -102,6 +175,25 @@ mod tests {
             let message = read(text).err().map(|error| error.to_string()).unwrap_or_default();
             assert!(message.contains(part), "{text:?}: {message}");
         }
+    }
+
+    #[test]
+    fn holes_are_named_and_never_filled() -> Result<(), PpgError> {
+        let time = |k: usize| k as f64 / 50.0;
+        let mut values: Vec<f64> = (0..200).map(|k| (k as f64 / 8.0).sin()).collect();
+        values[60..90].fill(f64::NAN);
+        let trace = Trace::new(Path::new("x"), (0..200).map(time).collect(), values.clone())?;
+        assert_eq!(trace.series.len(), 170);
+        assert!(trace.notes[0].contains("30 of 200"), "{:?}", trace.notes);
+        assert!(trace.notes[1].contains("1.18 s to 1.80 s"), "{:?}", trace.notes);
+        let mut times: Vec<f64> = (0..200).map(time).collect();
+        times[7] = 0.01;
+        let trace = Trace::new(Path::new("x"), times, vec![1.0; 200])?;
+        assert!(trace.series.len() == 199 && trace.notes[0].contains("sample 7"), "{:?}", trace.notes);
+        assert!(Trace::new(Path::new("x"), vec![0.0, 1.0], vec![f64::NAN; 2]).is_err());
+        assert!(Trace::new(Path::new("x"), vec![], vec![]).is_err());
+        assert!(Trace::new(Path::new("x"), vec![f64::NAN, 1.0, f64::INFINITY], vec![1.0; 3]).is_err());
+        Ok(())
     }
 
     #[test]

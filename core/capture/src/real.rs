@@ -34,13 +34,22 @@ pub struct RealOptions {
     pub size: usize,
     /// Whether to cut the head out; without, alpha is 255 wherever the camera saw.
     pub matte: bool,
-    /// Frame rate of a folder of PNGs that has no file of times.
+    /// Frame rate of a folder of pictures that has no file of times.
     pub folder_hertz: f64,
+    /// Rate to which uneven frames are brought, hertz; as they are when left out.
+    pub resample_hertz: Option<f64>,
 }
 
 impl Default for RealOptions {
     fn default() -> Self {
-        Self { start_seconds: 0.0, seconds: f64::INFINITY, size: 256, matte: true, folder_hertz: 30.0 }
+        Self {
+            start_seconds: 0.0,
+            seconds: f64::INFINITY,
+            size: 256,
+            matte: true,
+            folder_hertz: 30.0,
+            resample_hertz: None,
+        }
     }
 }
 
@@ -53,6 +62,8 @@ pub struct RealRecording {
     pub observations: Observations,
     /// Where the clip lies in the source.
     pub square: CropSquare,
+    /// What was doubtful in the source and read all the same, a line each.
+    pub warnings: Vec<String>,
 }
 
 /// Reads a recording. Progress runs over twice the frames: following, then cutting.
@@ -75,7 +86,7 @@ pub fn load_real(
     let clip = cut(source, options, &nets, &followed, square, progress)?;
     let frames = followed.faces.iter().map(|face| face.as_ref().map(|face| landmarks(face, square, options.size)));
     let observations = Observations::new(options.size, options.size, followed.times_seconds.clone(), frames.collect())?;
-    Ok(RealRecording { clip, observations, square })
+    Ok(RealRecording { clip, observations, square, warnings: followed.warnings })
 }
 
 fn check(options: &RealOptions) -> Result<(), CaptureError> {
@@ -97,6 +108,7 @@ struct Followed {
     times_seconds: Vec<f64>,
     faces: Vec<Option<FaceLandmarks>>,
     frame_size: (usize, usize),
+    warnings: Vec<String>,
 }
 
 /// Calls `each` with every frame of the chosen part, while a thread decodes the frames after it.
@@ -104,8 +116,9 @@ fn for_each_frame(
     source: &Path,
     options: &RealOptions,
     mut each: impl FnMut(f64, Rgb8Image) -> Result<(), CaptureError>,
-) -> Result<(), CaptureError> {
-    let reading = VideoOptions { start_seconds: options.start_seconds, folder_hertz: options.folder_hertz };
+) -> Result<Vec<String>, CaptureError> {
+    let RealOptions { start_seconds, folder_hertz, resample_hertz, .. } = *options;
+    let reading = VideoOptions { start_seconds, folder_hertz, resample_hertz };
     let video = video::open(source, &reading)?;
     let mut first = None;
     video::for_each_frame(video, |frame| {
@@ -125,9 +138,10 @@ fn follow(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Followed, CaptureError> {
     let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks);
-    let mut followed = Followed { times_seconds: Vec::new(), faces: Vec::new(), frame_size: (0, 0) };
+    let mut followed =
+        Followed { times_seconds: Vec::new(), faces: Vec::new(), frame_size: (0, 0), warnings: Vec::new() };
     let frame_bytes = options.size * options.size * 4;
-    for_each_frame(source, options, |seconds, image| {
+    let warnings = for_each_frame(source, options, |seconds, image| {
         followed.frame_size = (image.width, image.height);
         followed.faces.push(follower.next(&image)?);
         followed.times_seconds.push(seconds);
@@ -139,7 +153,7 @@ fn follow(
         let seen = followed.faces.iter().flatten().count() as f64 / frames as f64;
         report(progress, Progress { step: frames as u64, total: 0, metric: Some(("faces_seen", seen)) })
     })?;
-    Ok(followed)
+    Ok(Followed { warnings, ..followed })
 }
 
 fn report(progress: &mut dyn FnMut(Progress) -> ControlFlow<()>, said: Progress) -> Result<(), CaptureError> {

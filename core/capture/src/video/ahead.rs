@@ -8,17 +8,18 @@ use super::{FrameSource, TimedFrame, Video, VideoError};
 /// Frames decoded before they are asked for.
 const FRAMES_AHEAD: usize = 4;
 
-/// Calls `each` with every frame in order until it breaks, while a thread decodes the frames after it.
+/// Calls `each` with every frame in order until it breaks, while a thread decodes the frames after it. Returns what was
+/// doubtful in the video and read all the same, a line each.
 ///
 /// # Errors
 /// When the video is damaged, or `each` fails.
 pub fn for_each_frame<E: From<VideoError>>(
     mut video: Video,
     mut each: impl FnMut(TimedFrame) -> Result<ControlFlow<()>, E>,
-) -> Result<(), E> {
+) -> Result<Vec<String>, E> {
     std::thread::scope(|scope| {
         let (sender, frames) = sync_channel(FRAMES_AHEAD);
-        scope.spawn(move || {
+        let reader = scope.spawn(move || {
             // Ends at the last frame, at an error, or when the reader has hung up.
             while let Some(next) = video.next_frame().transpose() {
                 let failed = next.is_err();
@@ -26,12 +27,14 @@ pub fn for_each_frame<E: From<VideoError>>(
                     break;
                 }
             }
+            video.warnings()
         });
-        for frame in frames {
+        for frame in &frames {
             if each(frame?)?.is_break() {
                 break;
             }
         }
-        Ok(())
+        drop(frames);
+        Ok(reader.join().unwrap_or_default())
     })
 }

@@ -7,16 +7,18 @@ use std::path::{Path, PathBuf};
 
 use heartian_space::Rgb8Image;
 
+use super::bitmap::{Bitmap, word};
 use super::{FrameSource, TimedFrame, VideoError};
+
+/// Frame intervals that a recording can have, seconds.
+const SHORTEST_FRAME: f64 = 1e-4;
+const LONGEST_FRAME: f64 = 60.0;
 
 /// The picture format and rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Header {
     stream: u8,
-    width: usize,
-    height: usize,
-    bottom_up: bool,
-    bytes_per_pixel: usize,
+    bitmap: Bitmap,
     seconds_per_frame: f64,
     frames: usize,
 }
@@ -28,11 +30,6 @@ pub(super) struct Avi {
     length: u64,
     header: Header,
     frame: usize,
-    last: Option<Rgb8Image>,
-}
-
-fn word(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_le_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?))
 }
 
 impl Avi {
@@ -50,7 +47,7 @@ impl Avi {
             Err(reason) => return Err(VideoError::NotVideo { path: path.to_owned(), reason: reason.to_owned() }),
         };
         reader.seek(SeekFrom::Start(12)).map_err(io)?;
-        Ok(Ok(Self { path: path.to_owned(), reader, length, header, frame: 0, last: None }))
+        Ok(Ok(Self { path: path.to_owned(), reader, length, header, frame: 0 }))
     }
 
     /// Finds the next picture's chunk and returns its size; lists are entered, other chunks passed over.
@@ -74,48 +71,39 @@ impl Avi {
                     let mut name = [0; 4];
                     self.reader.read_exact(&mut name)?;
                     if &name != b"movi" && &name != b"rec " {
-                        self.skip(size.saturating_sub(4), at + 8 + size)?;
+                        self.skip(at + 8 + size, size)?;
                     }
                 }
                 [a, b, b'd', b'b' | b'c'] if stream([a, b]) => return Ok(Some(size)),
-                _ => self.skip(size, at + 8 + size)?,
+                _ => self.skip(at + 8 + size, size)?,
             }
         }
     }
 
     /// Passes over a chunk's content and its padding.
-    fn skip(&mut self, size: u64, end: u64) -> std::io::Result<()> {
+    fn skip(&mut self, end: u64, size: u64) -> std::io::Result<()> {
         let to = end.saturating_add(size % 2).min(self.length);
         self.reader.seek(SeekFrom::Start(to)).map(drop)
     }
 
-    fn picture(&mut self, size: u64) -> Result<Option<Rgb8Image>, VideoError> {
-        let Header { width, height, bottom_up, bytes_per_pixel, .. } = self.header;
-        if size == 0 {
-            // An empty chunk repeats the picture before it.
-            return Ok(self.last.clone());
-        }
-        let stride = (width * bytes_per_pixel).next_multiple_of(4);
+    fn picture(&mut self, size: u64) -> Result<Rgb8Image, VideoError> {
+        let bitmap = self.header.bitmap;
         let (path, frame) = (self.path.clone(), self.frame);
         let wrong = |reason: String| VideoError::Truncated { path: path.clone(), frame, reason };
-        let needed = (stride * height) as u64;
+        let needed = bitmap.bytes() as u64;
         let at = self.reader.stream_position().map_err(|error| wrong(error.to_string()))?;
-        if size < needed {
-            return Err(wrong(format!("{size} bytes where a picture has {needed}")));
-        }
         if at.saturating_add(size) > self.length {
             return Err(wrong("its data lie beyond the end of the file".into()));
         }
+        if size != needed {
+            let (width, height) = (bitmap.width, bitmap.height);
+            let reason = format!("it has {size} bytes where a picture of {width}×{height} has {needed}");
+            return Err(VideoError::Header { path, frame, reason });
+        }
         let mut bytes = vec![0; needed as usize];
         self.reader.read_exact(&mut bytes).map_err(|error| wrong(error.to_string()))?;
-        self.skip(size - needed, at + size).map_err(|error| wrong(error.to_string()))?;
-        let mut data = Vec::with_capacity(width * height * 3);
-        for row in 0..height {
-            let from = if bottom_up { height - 1 - row } else { row } * stride;
-            let pixels = bytes[from..from + width * bytes_per_pixel].chunks_exact(bytes_per_pixel);
-            data.extend(pixels.flat_map(|p| [p[2], p[1], p[0]]));
-        }
-        Ok(Some(Rgb8Image { width, height, data }))
+        self.skip(at + size, size).map_err(|error| wrong(error.to_string()))?;
+        bitmap.picture(&bytes).ok_or_else(|| wrong("the picture is cut short".into()))
     }
 }
 
@@ -142,14 +130,13 @@ fn parse_header(head: &[u8]) -> Result<Result<Header, String>, &'static str> {
             }
             b"strf" if video => {
                 let seconds_per_frame = rate.ok_or("its frame rate is zero")?;
-                return parse_format(head, body).map(|format| {
-                    format.map(|header| Header {
-                        stream: streams.saturating_sub(1),
-                        seconds_per_frame,
-                        frames,
-                        ..header
-                    })
-                });
+                if !(SHORTEST_FRAME..=LONGEST_FRAME).contains(&seconds_per_frame) {
+                    return Err("its frame rate is absurd");
+                }
+                let stream = streams.saturating_sub(1);
+                let header = |bitmap| Header { stream, bitmap, seconds_per_frame, frames };
+                let unsupported = |coding| format!("AVI video coded as `{coding}`");
+                return Ok(Bitmap::parse(head, body)?.map(header).map_err(unsupported));
             }
             _ => {}
         }
@@ -159,52 +146,29 @@ fn parse_header(head: &[u8]) -> Result<Result<Header, String>, &'static str> {
     Err("it has no video stream")
 }
 
-/// A bitmap header (BITMAPINFOHEADER).
-fn parse_format(head: &[u8], at: usize) -> Result<Result<Header, String>, &'static str> {
-    let field = |offset: usize| word(head, at + offset).ok_or("its picture format is cut short");
-    let (width, height, depth, coding) = (field(4)? as i32, field(8)? as i32, field(12)? >> 16, field(16)?);
-    let name = coding.to_le_bytes();
-    if coding != 0 && &name != b"DIB " || !matches!(depth, 24 | 32) {
-        let name = if coding == 0 { format!("raw {depth}-bit") } else { String::from_utf8_lossy(&name).into_owned() };
-        return Ok(Err(format!("AVI video coded as `{name}`")));
-    }
-    let side = |value: i32| usize::try_from(value.unsigned_abs()).ok().filter(|side| (1..=16384).contains(side));
-    let (Some(pixels), Some(rows), true) = (side(width), side(height), width > 0) else {
-        return Err("its picture size is absurd");
-    };
-    Ok(Ok(Header {
-        stream: 0,
-        width: pixels,
-        height: rows,
-        bottom_up: height > 0,
-        bytes_per_pixel: depth as usize / 8,
-        seconds_per_frame: 0.0,
-        frames: 0,
-    }))
-}
-
 impl FrameSource for Avi {
     fn next_frame(&mut self) -> Result<Option<TimedFrame>, VideoError> {
-        let chunk = self.next_chunk().map_err(|error| VideoError::File { path: self.path.clone(), error })?;
-        let Some(size) = chunk else {
-            return if self.frame < self.header.frames && self.header.frames != u32::MAX as usize {
-                let reason = format!("{} frames announced", self.header.frames);
-                Err(VideoError::Truncated { path: self.path.clone(), frame: self.frame, reason })
-            } else {
-                Ok(None)
+        loop {
+            let chunk = self.next_chunk().map_err(|error| VideoError::File { path: self.path.clone(), error })?;
+            let Some(size) = chunk else {
+                return if self.frame < self.header.frames && self.header.frames != u32::MAX as usize {
+                    let reason = format!("{} frames announced", self.header.frames);
+                    Err(VideoError::Truncated { path: self.path.clone(), frame: self.frame, reason })
+                } else {
+                    Ok(None)
+                };
             };
-        };
-        let Some(image) = self.picture(size)? else {
+            let seconds = self.frame as f64 * self.header.seconds_per_frame;
+            // An empty chunk is a dropped frame: time passes, and no picture is made up for it.
+            let image = (size > 0).then(|| self.picture(size)).transpose()?;
             self.frame += 1;
-            return self.next_frame();
-        };
-        let seconds = self.frame as f64 * self.header.seconds_per_frame;
-        self.frame += 1;
-        self.last = Some(image.clone());
-        Ok(Some(TimedFrame { seconds, image }))
+            if let Some(image) = image {
+                return Ok(Some(TimedFrame { seconds, image }));
+            }
+        }
     }
 
     fn frame_count(&self) -> Option<usize> {
-        Some(self.header.frames)
+        (self.header.frames != u32::MAX as usize).then_some(self.header.frames)
     }
 }

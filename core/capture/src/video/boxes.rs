@@ -6,7 +6,6 @@
 mod cursor;
 mod fragment;
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
@@ -40,6 +39,8 @@ pub(super) struct Track {
     pub encoding: Option<Encoding>,
     /// In decoding order.
     pub samples: Vec<Sample>,
+    /// The first sample that was shown at the time of another, and that time in ticks.
+    pub moved: Option<(usize, i64)>,
 }
 
 /// Reads the first video track of an MP4 file.
@@ -123,6 +124,7 @@ fn plain_track(track: Cursor<'_>) -> Parsed<Track> {
         quarter_turns: quarter_turns(track)?,
         encoding: colour(entry)?,
         samples: samples(table)?,
+        moved: None,
     })
 }
 
@@ -251,10 +253,21 @@ fn finish(track: &mut Track, content: Cursor<'_>) -> Parsed<()> {
     let earliest = track.samples.iter().map(|sample| sample.shown).min().unwrap_or(0);
     let start = start.unwrap_or(earliest);
     track.samples.iter_mut().for_each(|sample| sample.shown = sample.shown.saturating_sub(start));
-    // Two pictures at one time would make the display order ambiguous.
-    let mut seen = BTreeMap::new();
-    for sample in &track.samples {
-        *seen.entry(sample.shown).or_insert(0u32) += 1;
+    part_times(track);
+    Ok(())
+}
+
+/// Two pictures at one time would make the display order ambiguous: the later coded moves on by a tick.
+fn part_times(track: &mut Track) {
+    let mut order: Vec<usize> = (0..track.samples.len()).collect();
+    order.sort_by_key(|index| (track.samples[*index].shown, *index));
+    let mut before: Option<i64> = None;
+    for index in order {
+        let sample = &mut track.samples[index];
+        if let Some(least) = before.and_then(|before| before.checked_add(1)).filter(|least| sample.shown < *least) {
+            track.moved.get_or_insert((index, sample.shown));
+            sample.shown = least;
+        }
+        before = Some(sample.shown);
     }
-    if seen.values().any(|count| *count > 1) { Err("two of its samples are shown at the same time") } else { Ok(()) }
 }

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use rusty_h264_decoder::{DecodeError, Decoder};
@@ -11,6 +10,7 @@ use rusty_h264_decoder::{DecodeError, Decoder};
 use super::boxes::{Sample, Track, read_track};
 use super::yuv::{Encoding, Planes, rgb_from_yuv, turned};
 use super::{FrameSource, TimedFrame, VideoError, bits};
+use crate::guard::guarded;
 
 /// No H.264 stream holds back more pictures than its largest reference buffer.
 const MOST_WAITING: usize = 32;
@@ -30,6 +30,7 @@ pub(super) struct Mp4 {
     /// Display times still to come, in order; a picture leaves when its time is first.
     schedule: std::vec::IntoIter<i64>,
     waiting: BTreeMap<i64, Option<Picture>>,
+    notes: Vec<String>,
 }
 
 impl Mp4 {
@@ -59,6 +60,10 @@ impl Mp4 {
         let unspecified = Encoding { matrix: 2, full_range: format.is_some_and(|format| format.full_range) };
         let named = format.map(|format| Encoding { matrix: format.matrix, ..unspecified });
         let encoding = named.filter(|encoding| encoding.matrix != 2).or(track.encoding).unwrap_or(unspecified);
+        let note = track.moved.map(|(sample, ticks)| {
+            let seconds = ticks as f64 / f64::from(track.ticks_per_second);
+            format!("frame {sample}: it is timed {seconds:.3} s like another; such frames were moved on by a tick")
+        });
         let mut mp4 = Self {
             path: path.to_owned(),
             file,
@@ -69,6 +74,7 @@ impl Mp4 {
             next: 0,
             schedule: Vec::new().into_iter(),
             waiting: BTreeMap::new(),
+            notes: note.into_iter().collect(),
             track,
         };
         mp4.seek(start_seconds);
@@ -171,14 +177,14 @@ enum Stop {
 
 /// Runs the decoder; a panic in it (arithmetic on a damaged stream) counts as damage.
 fn decode(decoder: &mut Decoder, unit: &[u8]) -> Result<Option<Picture>, Problem> {
-    match catch_unwind(AssertUnwindSafe(|| decoder.decode(unit))) {
-        Ok(Ok(Some(picture))) => {
+    match guarded(|| decoder.decode(unit)) {
+        Some(Ok(Some(picture))) => {
             Ok(Some(Picture { width: picture.width, height: picture.height, y: picture.y, u: picture.u, v: picture.v }))
         }
-        Ok(Ok(None)) => Ok(None),
-        Ok(Err(DecodeError::Unsupported(what))) => Err(Problem::Unsupported(what.to_owned())),
-        Ok(Err(error)) => Err(Problem::Damaged(error.to_string())),
-        Err(_) => Err(Problem::Damaged("the decoder gave up".into())),
+        Some(Ok(None)) => Ok(None),
+        Some(Err(DecodeError::Unsupported(what))) => Err(Problem::Unsupported(what.to_owned())),
+        Some(Err(error)) => Err(Problem::Damaged(error.to_string())),
+        None => Err(Problem::Damaged("the decoder gave up".into())),
     }
 }
 
@@ -259,5 +265,9 @@ impl FrameSource for Mp4 {
 
     fn frame_count(&self) -> Option<usize> {
         Some(self.track.samples.len())
+    }
+
+    fn notes(&self) -> &[String] {
+        &self.notes
     }
 }

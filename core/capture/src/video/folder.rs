@@ -1,39 +1,29 @@
-//! A folder of PNG frames in natural order (`2.png` before `10.png`).
+//! A folder of pictures in natural order (`2.png` before `10.png`): PNG, JPEG, OpenEXR or BMP, one kind a folder.
 //!
 //! Times come from `times.csv` or `times.txt` in the folder (one number of seconds a line, a header line allowed), else
 //! from a constant rate.
 
 use std::cmp::Ordering;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use heartian_space::Rgb8Image;
-
+use super::picture::{self, ENDINGS};
 use super::{FrameSource, TimedFrame, VideoError};
 
+/// A day of frame times is below.
+const LARGEST_TEXT: u64 = 1 << 28;
+
 /// The frames still to be read.
-pub(super) struct PngFolder {
+pub(super) struct Folder {
     files: Vec<PathBuf>,
     times_seconds: Vec<f64>,
     next: usize,
 }
 
-impl PngFolder {
+impl Folder {
     pub fn open(folder: &Path, hertz: f64) -> Result<Self, VideoError> {
-        let io = |error| VideoError::File { path: folder.to_owned(), error };
-        let mut files = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(io)? {
-            let path = entry.map_err(io)?.path();
-            if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-                files.push(path);
-            }
-        }
-        if files.is_empty() {
-            let reason = "the folder holds no PNG file".to_owned();
-            return Err(VideoError::NotVideo { path: folder.to_owned(), reason });
-        }
-        files.sort_by(|a, b| natural(&name(a), &name(b)));
+        let files = pictures(folder)?;
         let listed = ["times.csv", "times.txt"].map(|name| folder.join(name)).into_iter().find(|path| path.is_file());
         let times_seconds = match listed {
             Some(path) => read_times(&path, files.len())?,
@@ -51,12 +41,45 @@ impl PngFolder {
     }
 }
 
-fn name(path: &Path) -> String {
+/// The pictures of a folder in natural order.
+pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, VideoError> {
+    let io = |error| VideoError::File { path: folder.to_owned(), error };
+    let mut kinds: [Vec<PathBuf>; ENDINGS.len()] = Default::default();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        // Such as macOS leaves behind: `._frame1.png` is no picture.
+        let hidden = name(&path).starts_with('.');
+        if let Some(kind) = ENDINGS.iter().position(|endings| endings.contains(&ending.as_str()) && !hidden) {
+            kinds[kind].push(path);
+        }
+    }
+    // A single picture of another kind is a cover or a thumbnail.
+    let frames = kinds.iter().any(|files| files.len() > 1);
+    let counts = |files: &Vec<PathBuf>| files.len() > usize::from(frames);
+    let mut found = kinds.into_iter().zip(ENDINGS).filter(|(files, _)| counts(files));
+    let wrong = |reason: String| VideoError::NotVideo { path: folder.to_owned(), reason };
+    let Some((mut files, endings)) = found.next() else {
+        return Err(wrong("the folder holds no PNG, JPEG, EXR or BMP file".to_owned()));
+    };
+    if let Some((_, others)) = found.next() {
+        return Err(wrong(format!(
+            "the folder holds both {} and {} files, and which are the frames cannot be told; leave one kind there",
+            endings[0].to_uppercase(),
+            others[0].to_uppercase()
+        )));
+    }
+    files.sort_by(|a, b| natural(&name(a), &name(b)));
+    Ok(files)
+}
+
+/// A file name for people.
+pub(crate) fn name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Compares runs of digits as numbers and everything else as text; equal numbers fall back to the text.
-fn natural(a: &str, b: &str) -> Ordering {
+pub(crate) fn natural(a: &str, b: &str) -> Ordering {
     let (mut x, mut y) = (a, b);
     loop {
         let digits = |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
@@ -77,8 +100,16 @@ fn natural(a: &str, b: &str) -> Ordering {
     }
 }
 
+/// A small text file.
+fn read_text(path: &Path) -> Result<String, VideoError> {
+    let io = |error| VideoError::File { path: path.to_owned(), error };
+    let mut bytes = Vec::new();
+    File::open(path).map_err(io)?.take(LARGEST_TEXT).read_to_end(&mut bytes).map_err(io)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
 fn read_times(path: &Path, frames: usize) -> Result<Vec<f64>, VideoError> {
-    let text = std::fs::read_to_string(path).map_err(|error| VideoError::File { path: path.to_owned(), error })?;
+    let text = read_text(path)?;
     let wrong = |reason: String| VideoError::Times { path: path.to_owned(), reason };
     let mut times = Vec::new();
     for (line, text) in text.lines().enumerate() {
@@ -96,28 +127,12 @@ fn read_times(path: &Path, frames: usize) -> Result<Vec<f64>, VideoError> {
     Ok(times)
 }
 
-/// Reads one PNG as 8-bit RGB; grey is repeated, transparency dropped, 16 bits cut to 8.
-fn read_png(path: &Path) -> Result<Rgb8Image, VideoError> {
-    let wrong = |reason: String| VideoError::NotVideo { path: path.to_owned(), reason };
-    let file = File::open(path).map_err(|error| VideoError::File { path: path.to_owned(), error })?;
-    let mut decoder = png::Decoder::new(BufReader::new(file));
-    decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
-    let mut reader = decoder.read_info().map_err(|error| wrong(error.to_string()))?;
-    let size = reader.output_buffer_size().ok_or_else(|| wrong("the picture is absurdly large".into()))?;
-    let mut buffer = vec![0; size];
-    let info = reader.next_frame(&mut buffer).map_err(|error| wrong(error.to_string()))?;
-    let channels = info.color_type.samples();
-    let pixels = buffer[..info.buffer_size()].chunks_exact(channels);
-    let data = pixels.flat_map(|p| if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] }).collect();
-    Rgb8Image::from_data(info.width as usize, info.height as usize, data).map_err(|error| wrong(error.to_string()))
-}
-
-impl FrameSource for PngFolder {
+impl FrameSource for Folder {
     fn next_frame(&mut self) -> Result<Option<TimedFrame>, VideoError> {
         let Some(path) = self.files.get(self.next) else { return Ok(None) };
         let seconds = self.times_seconds[self.next];
         self.next += 1;
-        Ok(Some(TimedFrame { seconds, image: read_png(path)? }))
+        Ok(Some(TimedFrame { seconds, image: picture::read(path)? }))
     }
 
     fn frame_count(&self) -> Option<usize> {
