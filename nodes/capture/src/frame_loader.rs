@@ -1,9 +1,10 @@
 //! FrameLoader: the one door through which recordings enter a graph.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use heartian_capture::CaptureError;
-use heartian_capture::ppg::{ClipPpg, cover_clip, read_ppg};
+use heartian_capture::dataset::{self, Place};
+use heartian_capture::ppg::{self, ClipPpg, cover_clip, read_ppg};
 use heartian_capture::real::{RealOptions, load_real};
 use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate, generate_with_pulse};
 use heartian_face::Observations;
@@ -14,13 +15,14 @@ use heartian_space::{Clip, Progress, Series};
 const SYNTHETIC: &str = "synthetic";
 
 params! {
-    /// Reads a recording: a video, a folder of PNG frames, or the built-in synthetic one. Crops a square around the face,
+    /// Reads a recording: a video, a folder of pictures, a recording of a data set, or the built-in synthetic one. Crops a square around the face,
     /// mattes head and neck, finds the landmarks, and puts the contact PPG on the clip's clock.
     pub struct FrameLoader {
-        /// `synthetic`, a video file (.mp4, .avi; others through the ffmpeg program), or a folder of PNG frames.
+        /// `synthetic`, a video file (.mp4, .avi; others through the ffmpeg program), a folder of PNG, JPEG, EXR or BMP
+        /// frames, or a recording of UBFC-rPPG, PURE, MMPD, SCAMPS or iBVP as `heartian datasets ls` names it.
         source: String = SYNTHETIC.to_owned();
-        /// Contact PPG as CSV with the header `time_s,ppg`, on the video's clock, at any sampling rate. The synthetic
-        /// recording brings its own; given one, its person's blood follows it.
+        /// Contact PPG as CSV with the header `time_s,ppg`, on the video's clock, at any sampling rate. Recordings of data
+        /// sets bring their own. So does the synthetic one; given another, its person's blood follows it.
         ppg: Option<String> = None;
         /// How much of the recording is read.
         seconds: f64 = 20.0, unit("s"), range(0.5, 3600.0);
@@ -30,8 +32,11 @@ params! {
         size: usize = 256, unit("px"), range(32.0, 2048.0);
         /// Cut out head and neck; without, the whole crop counts.
         matte: bool = true;
-        /// Frame rate of the synthetic recording, and of a folder of PNGs without times.
+        /// Frame rate of the synthetic recording, and of a folder of pictures without times.
         frames_per_second: f64 = 30.0, unit("Hz"), range(1.0, 240.0);
+        /// Bring uneven or dropped frames of a file to this even rate, mixing neighbours by time; without, frames keep
+        /// their true times. Holes of more than a quarter of a second stay holes.
+        resample_hertz: Option<f64> = None, unit("Hz"), range(1.0, 240.0);
         /// Synthetic: which person, motion, heart and noise.
         seed: u64 = 1;
         /// Synthetic: mean heart rate.
@@ -52,7 +57,7 @@ register!(FrameLoader);
 
 impl Node for FrameLoader {
     const KIND: &'static str = "FrameLoader";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),
@@ -67,35 +72,52 @@ impl Node for FrameLoader {
     ];
 
     fn sources(&self) -> Vec<SourceFile> {
-        let remedy = "give a video file, a folder of PNG frames, or \"synthetic\"";
+        let remedy = "give a video file, a folder of pictures, a recording of a data set, or \"synthetic\"";
         let video = (self.source != SYNTHETIC).then(|| SourceFile::new("source", &self.source).remedy(remedy));
+        // A data set may keep the pulse, and the frames' times, beside the video.
+        let labels = self.place().map(|place| place.labels);
+        let beside = labels.filter(|labels| labels.is_file() && !labels.starts_with(&self.source));
+        let beside = beside.map(|labels| SourceFile::new("source", labels));
         let remedy = "give a CSV file with the header `time_s,ppg`";
         let ppg = self.ppg.as_ref().map(|path| SourceFile::new("ppg", path).remedy(remedy));
-        video.into_iter().chain(ppg).collect()
+        video.into_iter().chain(beside).chain(ppg).collect()
     }
 
     fn leaves_empty(&self) -> Vec<&'static str> {
         let synthetic = self.source == SYNTHETIC;
-        let without_ppg = !synthetic && self.ppg.is_none();
+        let with_labels = || self.place().is_some_and(|place| place.labels.is_file());
+        let without_ppg = !synthetic && self.ppg.is_none() && !with_labels();
         let ppg = without_ppg.then_some(["ppg", "ppg_at_frames"]);
         ppg.into_iter().flatten().chain((!synthetic).then_some("truth")).collect()
     }
 
     fn validate(&self) -> Vec<ParamError> {
         let empty = self.source.is_empty();
-        let message = "is empty; give a video file, a folder of PNG frames, or \"synthetic\"";
+        let message = "is empty; give a video file, a folder of pictures, a recording of a data set, or \"synthetic\"";
         empty.then(|| ParamError::new("source", message)).into_iter().collect()
     }
 
     fn run(&self, _: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
         // The trace first: a mistake in it is found before minutes of video are read.
-        let trace = self.ppg.as_ref().map(|path| Trace::read(path)).transpose()?;
+        let trace = match (&self.ppg, self.place()) {
+            (Some(path), _) => Some(Trace::read(path)?),
+            (None, Some(place)) if place.labels.is_file() => Some(Trace::of(&place)?),
+            _ => None,
+        };
+        for note in trace.iter().flat_map(|trace| &trace.notes) {
+            context.warn(note);
+        }
         if self.source == SYNTHETIC { self.synthesise(trace, context) } else { self.read(trace, context) }
     }
 }
 
 impl FrameLoader {
-    fn synthesise(&self, trace: Option<Trace<'_>>, context: &Context) -> Result<Outputs, NodeError> {
+    /// The data set's recording that `source` names.
+    fn place(&self) -> Option<Place> {
+        if self.source == SYNTHETIC { None } else { dataset::locate(Path::new(&self.source)) }
+    }
+
+    fn synthesise(&self, trace: Option<Trace>, context: &Context) -> Result<Outputs, NodeError> {
         let options = SyntheticOptions {
             seconds: self.seconds,
             size: self.size,
@@ -130,16 +152,18 @@ impl FrameLoader {
             .put("truth", recording.truth))
     }
 
-    fn read(&self, trace: Option<Trace<'_>>, context: &Context) -> Result<Outputs, NodeError> {
+    fn read(&self, trace: Option<Trace>, context: &Context) -> Result<Outputs, NodeError> {
         let options = RealOptions {
             start_seconds: self.start_seconds,
             seconds: self.seconds,
             size: self.size,
             matte: self.matte,
             folder_hertz: self.frames_per_second,
+            resample_hertz: self.resample_hertz,
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
+        recording.warnings.iter().for_each(|warning| context.warn(warning));
         let ppg = trace.map(|trace| trace.over(&recording.clip)).transpose()?;
         let (contact, at_frames) = ppg.map(|ppg| (ppg.contact, ppg.at_frames)).unzip();
         Ok(Outputs::new()
@@ -151,19 +175,35 @@ impl FrameLoader {
 }
 
 /// A contact PPG and the file it came from.
-struct Trace<'a> {
-    path: &'a Path,
+struct Trace {
+    path: PathBuf,
     whole: Series,
+    /// The parameter that named it.
+    parameter: &'static str,
+    /// What is doubtful about it, a line each.
+    notes: Vec<String>,
 }
 
-impl<'a> Trace<'a> {
-    fn read(path: &'a str) -> Result<Self, NodeError> {
-        let path = Path::new(path);
-        Ok(Self { path, whole: read_ppg(path).map_err(|error| NodeError::from(error).parameter("ppg"))? })
+impl Trace {
+    fn read(path: &str) -> Result<Self, NodeError> {
+        let path = PathBuf::from(path);
+        let whole = read_ppg(&path).map_err(|error| NodeError::from(error).parameter("ppg"))?;
+        Ok(Self::new(path, ppg::Trace::of(whole), "ppg"))
+    }
+
+    /// A data set's own.
+    fn of(place: &Place) -> Result<Self, NodeError> {
+        let trace = dataset::trace(place).map_err(|error| NodeError::from(error).parameter("source"))?;
+        Ok(Self::new(place.labels.clone(), trace, "source"))
+    }
+
+    fn new(path: PathBuf, trace: ppg::Trace, parameter: &'static str) -> Self {
+        let notes = trace.notes.iter().map(|note| format!("{}: {note}", path.display())).collect();
+        Self { path, whole: trace.series, parameter, notes }
     }
 
     fn over(&self, clip: &Clip) -> Result<ClipPpg, NodeError> {
-        cover_clip(self.path, &self.whole, clip).map_err(|error| NodeError::from(error).parameter("ppg"))
+        cover_clip(&self.path, &self.whole, clip).map_err(|error| NodeError::from(error).parameter(self.parameter))
     }
 }
 
@@ -171,7 +211,7 @@ impl<'a> Trace<'a> {
 fn named(error: CaptureError) -> NodeError {
     let parameter = match &error {
         CaptureError::Option { name, .. } => Some(*name),
-        CaptureError::Video(_) | CaptureError::NoFace { .. } => Some("source"),
+        CaptureError::Video(_) | CaptureError::DataSet(_) | CaptureError::NoFace { .. } => Some("source"),
         CaptureError::TooLarge { .. } => Some("seconds"),
         _ => None,
     };
@@ -198,6 +238,24 @@ mod tests {
         let lines: String = (0..=(seconds * rate_hertz) as usize).map(line).collect();
         std::fs::write(&path, format!("time_s,ppg\n{lines}")).unwrap();
         path
+    }
+
+    #[test]
+    fn a_data_set_brings_its_own_pulse() {
+        let folder = tempfile::tempdir().unwrap();
+        let video = folder.path().join("vid.avi");
+        std::fs::write(&video, "a video").unwrap();
+        let loader = |source: &Path| FrameLoader { source: source.display().to_string(), ..Default::default() };
+        assert_eq!(loader(&video).leaves_empty(), ["ppg", "ppg_at_frames", "truth"]);
+        let labels = folder.path().join("ground_truth.txt");
+        std::fs::write(&labels, "1 2\n60 60\n0 0.1\n").unwrap();
+        // Given as a folder, the folder's digest holds the labels; given as a file, they are a source of their own.
+        for (source, count) in [(folder.path(), 1), (&video, 2)] {
+            assert_eq!(loader(source).leaves_empty(), ["truth"]);
+            let sources = loader(source).sources();
+            assert_eq!((sources.len(), &*sources[0].path), (count, source));
+        }
+        assert_eq!(loader(&video).sources()[1].path, labels);
     }
 
     #[test]
