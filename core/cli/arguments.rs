@@ -11,6 +11,7 @@ pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments}
 use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
 use crate::bench::splat::SplatBench;
+use crate::datasets::DatasetsAction;
 use crate::export::ExportArguments;
 use crate::measure::MeasureArguments;
 use crate::sizes;
@@ -145,6 +146,12 @@ Examples:
         /// What to measure
         #[command(subcommand)]
         bench: Bench,
+    },
+    /// List the recordings of public rPPG data sets: UBFC-rPPG, PURE, MMPD, SCAMPS, iBVP
+    Datasets {
+        /// What to do with them.
+        #[command(subcommand)]
+        action: DatasetsAction,
     },
     /// Fetch, list or verify the face models that real videos need
     Models {

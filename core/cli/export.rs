@@ -24,7 +24,7 @@ UBFC-rPPG: OUT/subjectN/vid.avi (raw BGR24, at most 4 GiB) and ground_truth.txt.
 rPPG-Toolbox reads both as they are. To export the clips of a graph with the pulse that was written into them, use the node
 DatasetExporter: heartian run graphs/export.ron")]
 pub struct ExportArguments {
-    /// A video file, or a folder of PNG frames
+    /// A video file, a folder of PNG, JPEG, EXR or BMP frames, or a recording of a data set
     pub video: PathBuf,
     /// The pulse: CSV with the header `time_s,ppg` on the video's clock, at any rate
     #[arg(long, value_name = "CSV")]
@@ -41,7 +41,7 @@ pub struct ExportArguments {
     /// Number of the subject's recording (PURE)
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub recording: u32,
-    /// Frame rate of a folder of PNG frames without a file of times
+    /// Frame rate of a folder of frames without a file of times
     #[arg(long, value_name = "HERTZ")]
     pub fps: Option<f64>,
 }
@@ -111,7 +111,7 @@ fn each_frame(
     let options = VideoOptions { folder_hertz: arguments.fps.unwrap_or(f64::NAN), ..VideoOptions::default() };
     let video = open(&arguments.video, &options).into_diagnostic()?;
     let go_on = |frame| each(frame).map(|()| ControlFlow::Continue(()));
-    for_each_frame::<ExportError>(video, go_on).into_diagnostic()
+    for_each_frame::<ExportError>(video, go_on).into_diagnostic().map(drop)
 }
 
 fn write_avi(arguments: &ExportArguments, place: &Place, times: &[f64], (width, height): (usize, usize)) -> Result<()> {

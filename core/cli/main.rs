@@ -9,6 +9,7 @@ mod bench;
 mod cache;
 mod clock;
 mod compare;
+mod datasets;
 mod deliver;
 mod draw;
 mod explain;
@@ -58,6 +59,7 @@ fn main() -> ExitCode {
             return heartian_graph::serve_plugin(&library, &digest, memory);
         }
         Command::Bench { bench } => bench::run(&bench),
+        Command::Datasets { action } => datasets::act(&action),
         Command::Models { action } => models::act(action),
     };
     done.unwrap_or_else(|report| {

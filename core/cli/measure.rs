@@ -34,7 +34,7 @@ the spectrum's peak over the next one, and how many windows and other methods ag
 Strong video compression wipes the pulse out: then the answer says that it is not sure.
 This is a measurement of video, not a medical device.")]
 pub struct MeasureArguments {
-    /// A video file, or a folder of PNG frames
+    /// A video file, a folder of PNG, JPEG, EXR or BMP frames, or a recording of a data set (see `heartian datasets`)
     pub video: PathBuf,
     /// Let this decoder answer; may be repeated [default: POS, or the networks of --weights]
     #[arg(long = "method", value_name = "NAME", value_delimiter = ',')]
@@ -48,7 +48,7 @@ pub struct MeasureArguments {
     /// How much to read, in seconds [default: all]
     #[arg(long, value_name = "SECONDS")]
     pub seconds: Option<f64>,
-    /// Frame rate of a folder of PNG frames without a file of times
+    /// Frame rate of a folder of frames without a file of times
     #[arg(long, value_name = "HERTZ")]
     pub fps: Option<f64>,
     /// Which rates are looked for: 36 to 198 bpm, or the paper's 45 to 180 bpm
@@ -207,7 +207,8 @@ enum ReadError {
 
 /// One pass over the video.
 fn read<'a>(arguments: &MeasureArguments, readers: &'a [Reader]) -> Result<(Reading<'a>, Option<Looks>, Length)> {
-    let options = VideoOptions { start_seconds: arguments.start, folder_hertz: arguments.fps.unwrap_or(f64::NAN) };
+    let folder_hertz = arguments.fps.unwrap_or(f64::NAN);
+    let options = VideoOptions { start_seconds: arguments.start, folder_hertz, ..VideoOptions::default() };
     let video = video::open(&arguments.video, &options).into_diagnostic()?;
     let bar = progress(video.frame_count());
     let detector: Option<Detector> = match load_detector() {
@@ -220,7 +221,7 @@ fn read<'a>(arguments: &MeasureArguments, readers: &'a [Reader]) -> Result<(Read
     let mut following = Following::new(Reading::new(readers, Statistics::PerChunk), LOOK_EVERY);
     let mut length = Length { frames: 0, seconds: 0.0 };
     let mut first = None;
-    let read: Result<(), ReadError> = video::for_each_frame(video, |frame| {
+    let read: Result<Vec<String>, ReadError> = video::for_each_frame(video, |frame| {
         let since = frame.seconds - *first.get_or_insert(frame.seconds);
         if since >= arguments.seconds.unwrap_or(f64::INFINITY) {
             return Ok(ControlFlow::Break(()));
@@ -235,7 +236,9 @@ fn read<'a>(arguments: &MeasureArguments, readers: &'a [Reader]) -> Result<(Read
         Ok(ControlFlow::Continue(()))
     });
     bar.finish_and_clear();
-    read.into_diagnostic()?;
+    for warning in read.into_diagnostic()? {
+        eprintln!("warning: {warning}");
+    }
     // The last frame lasts as long as the others.
     length.seconds *= length.frames as f64 / (length.frames.max(2) - 1) as f64;
     let (reading, looks) = following.finish();
