@@ -9,7 +9,7 @@ use std::process::ExitCode;
 
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
 
-use crate::deliver::MetricsFile;
+use crate::deliver::{Figure, MetricsFile};
 use crate::summary::table;
 
 /// Prints one column a run.
@@ -22,7 +22,8 @@ pub fn print(runs: &[PathBuf], plot: Option<&Path>) -> Result<ExitCode> {
     let keys: BTreeSet<&String> = files.iter().flat_map(|file| file.metrics.keys()).collect();
     for key in keys {
         let cells = files.iter().map(|file| match file.metrics.get(key) {
-            Some(Some(value)) => figure(*value),
+            Some(Some(Figure::Number(value))) => figure(*value),
+            Some(Some(Figure::Name(name))) => name.clone(),
             Some(None) => "not measured".to_owned(),
             None => "–".to_owned(),
         });

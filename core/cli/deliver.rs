@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use heartian_artifact::Artifact;
 use heartian_capture::export::{AviForm, write_clip};
 use heartian_graph::{Cache, Digest, Files, Graph, NodeReport, Plan, Status, load};
-use heartian_space::{Clip, Metrics};
+use heartian_space::{Clip, Labels, Metrics};
 use miette::{IntoDiagnostic, Result, WrapErr};
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +34,8 @@ pub struct Delivery<'a> {
 pub struct Delivered {
     /// All figures of the run.
     pub metrics: BTreeMap<String, f64>,
+    /// Names that belong beside them.
+    pub labels: BTreeMap<String, String>,
     /// Some artifact was damaged in the cache and has been dropped: run again and deliver again.
     pub damaged: bool,
     /// One line each.
@@ -51,8 +53,29 @@ pub struct MetricsFile {
     pub graph: String,
     /// What ran.
     pub nodes: Vec<NodeLine>,
-    /// Figures by name; null when they could not be measured.
-    pub metrics: BTreeMap<String, Option<f64>>,
+    /// Figures by name, null when they could not be measured; names of models by theirs; and for every node with outputs
+    /// `ID.seconds`, how long it ran when it made them.
+    pub metrics: BTreeMap<String, Option<Figure>>,
+}
+
+impl MetricsFile {
+    /// A figure that is a number.
+    pub fn number(&self, key: &str) -> Option<f64> {
+        match self.metrics.get(key) {
+            Some(Some(Figure::Number(value))) => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+/// A value of `metrics.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Figure {
+    /// A figure of merit.
+    Number(f64),
+    /// The name of what made or measured the others.
+    Name(String),
 }
 
 /// One node of `metrics.json`.
@@ -122,6 +145,8 @@ pub fn deliver(delivery: &Delivery<'_>, reports: &[NodeReport], folder: &Path) -
             let name = format!("{}.{}", report.id, port.name);
             if port.artifact == Metrics::TYPE {
                 courier.metrics(&name, digest)?;
+            } else if port.artifact == Labels::TYPE {
+                courier.labels(digest)?;
             } else if port.artifact == Files::TYPE {
                 courier.files(&name, digest)?;
             }
@@ -173,6 +198,14 @@ impl Courier<'_> {
                     .warnings
                     .push(format!("`{name}` and an earlier node both give `{key}`; the later one counts"));
             }
+        }
+        Ok(())
+    }
+
+    fn labels(&mut self, digest: &Digest) -> Result<()> {
+        match load::<Labels>(self.delivery.cache, digest)? {
+            Some(labels) => self.done.labels.extend(labels.0.clone()),
+            None => self.done.damaged = true,
         }
         Ok(())
     }
@@ -253,11 +286,15 @@ impl Courier<'_> {
 
     fn write_reports(&self, reports: &[NodeReport]) -> Result<()> {
         let Delivery { graph, sets, plan, fingerprint, .. } = self.delivery;
-        let finite = |value: &f64| value.is_finite().then_some(*value);
+        let number = |value: &f64| value.is_finite().then_some(Figure::Number(*value));
+        let figures = self.done.metrics.iter().map(|(key, value)| (key.clone(), number(value)));
+        let labels = self.done.labels.iter().map(|(key, name)| (key.clone(), Some(Figure::Name(name.clone()))));
+        let made = reports.iter().filter(|report| !report.outputs.is_empty());
+        let times = made.map(|report| (format!("{}.seconds", report.id), number(&rounded(report.work_seconds))));
         let metrics = MetricsFile {
             graph: plan.name.clone(),
             nodes: reports.iter().map(line).collect(),
-            metrics: self.done.metrics.iter().map(|(key, value)| (key.clone(), finite(value))).collect(),
+            metrics: times.chain(labels).chain(figures).collect(),
         };
         let nodes = reports.iter().zip(&plan.nodes).map(|(report, node)| NodePart {
             id: &report.id,
@@ -288,8 +325,13 @@ fn line(report: &NodeReport) -> NodeLine {
         id: report.id.to_string(),
         kind: report.kind.to_owned(),
         status: report.status,
-        seconds: (report.seconds * 1e6).round() / 1e6,
+        seconds: rounded(report.seconds),
     }
+}
+
+/// Seconds to the microsecond.
+fn rounded(seconds: f64) -> f64 {
+    (seconds * 1e6).round() / 1e6
 }
 
 /// Writes a value as JSON, as [`write_text`] does.

@@ -10,6 +10,7 @@ mod guard;
 mod matte;
 mod mesh;
 mod observe;
+pub mod overlay;
 pub mod ppg;
 pub mod real;
 pub mod synthetic;

@@ -13,6 +13,7 @@ mod options;
 mod physiology;
 mod random;
 mod scene;
+mod score;
 mod sensor;
 #[cfg(test)]
 mod tests;
@@ -27,6 +28,7 @@ use rayon::prelude::*;
 
 pub use look::{Light, SkinTone};
 pub use options::SyntheticOptions;
+pub use score::TrackScores;
 pub use truth::GroundTruth;
 
 use crate::CaptureError;

@@ -71,7 +71,7 @@ pub fn print(runs: &[PathBuf], files: &[MetricsFile], names: &[String], plot: Op
 
 /// PSNR of the baseline less that of the modulated picture, decibels.
 fn psnr_cost(file: &MetricsFile) -> f64 {
-    let get = |key: &str| file.metrics.get(key).copied().flatten().unwrap_or(f64::NAN);
+    let get = |key: &str| file.number(key).unwrap_or(f64::NAN);
     get("baseline.psnr_db") - get("modulated.psnr_db")
 }
 

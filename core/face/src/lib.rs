@@ -11,6 +11,7 @@ pub mod nets;
 mod observations;
 mod procedural;
 mod skinning;
+mod steadiness;
 mod track;
 mod tracker;
 

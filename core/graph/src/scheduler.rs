@@ -64,6 +64,8 @@ pub struct NodeReport {
     pub status: Status,
     /// Wall time of its turn.
     pub seconds: f64,
+    /// How long it ran when its outputs were made, whether in this run or, for a hit, in an earlier one; 0 without outputs.
+    pub work_seconds: f64,
     /// Its action key, when its inputs were known.
     pub key: Option<Digest>,
     /// Digests of its outputs by port, when there are any.
@@ -80,6 +82,7 @@ impl NodeReport {
             kind: plan.nodes[at].kind.kind,
             status: Status::Skipped,
             seconds: 0.0,
+            work_seconds: 0.0,
             key: None,
             outputs: BTreeMap::new(),
             error: None,

@@ -3,7 +3,7 @@
 use heartian_capture::observe_clip;
 use heartian_face::{FaceError, HeadModel, Observations, Track, TrackOptions, track};
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
-use heartian_space::{Clip, Metrics, Progress};
+use heartian_space::{Clip, Labels, Metrics, Progress};
 
 params! {
     /// Fits one head and camera, and a pose, jaw, expression and eyelids per frame, by damped Gauss–Newton. It sees landmarks
@@ -23,7 +23,7 @@ register!(FlameTracker);
 
 impl Node for FlameTracker {
     const KIND: &'static str = "FlameTracker";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The clip to track."),
         Port::one::<Observations>("landmarks", "Landmarks seen in it; without, the face models look for them.")
@@ -31,7 +31,8 @@ impl Node for FlameTracker {
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Track>("track", "Head model, identity, camera, and a pose per frame."),
-        Port::one::<Metrics>("metrics", "track.*: landmark error and frames lost."),
+        Port::one::<Metrics>("metrics", "track.*: landmark error, jitter and frames lost."),
+        Port::one::<Labels>("labels", "track.head_model: the name of the head model that was fitted."),
     ];
 
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
@@ -60,8 +61,12 @@ impl Node for FlameTracker {
             .with("track.landmark_rms_px", track.landmark_rms_px)
             .with("track.landmark_rms_percent_of_interocular", 100.0 * track.landmark_rms_px / track.interocular_px)
             .with("track.interocular_px", track.interocular_px)
-            .with("track.frames_lost", lost as f64);
-        Ok(Outputs::new().put("track", track).put("metrics", metrics))
+            .with("track.landmark_rms_fraction", track.landmark_rms_px / track.interocular_px)
+            .with("track.jitter_deg_rms", track.jitter_deg_rms())
+            .with("track.frames_lost", lost as f64)
+            .with("track.lost_frames", lost as f64);
+        let labels = Labels::of("track.head_model", &track.head.name);
+        Ok(Outputs::new().put("track", track).put("metrics", metrics).put("labels", labels))
     }
 }
 

@@ -4,7 +4,9 @@
 mod dataset_exporter;
 mod flame_tracker;
 mod frame_loader;
+mod track_movie;
 
 pub use dataset_exporter::DatasetExporter;
 pub use flame_tracker::FlameTracker;
 pub use frame_loader::FrameLoader;
+pub use track_movie::TrackMovie;

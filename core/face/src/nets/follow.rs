@@ -33,8 +33,8 @@ impl Roi {
         Self::around([left, top, right, bottom], a, b)
     }
 
-    /// The region for the next frame.
-    fn from_landmarks(points: &[[f32; 3]]) -> Self {
+    /// The region for the next frame: the box of the landmarks with a margin, turned with the line through the eyes.
+    pub fn from_landmarks(points: &[[f32; 3]]) -> Self {
         let mut bounds = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
         for [x, y, _] in points {
             bounds = [bounds[0].min(*x), bounds[1].min(*y), bounds[2].max(*x), bounds[3].max(*y)];

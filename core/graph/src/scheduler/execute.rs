@@ -271,7 +271,7 @@ impl<'r, 'scope, 'env> Foreman<'r, 'scope, 'env> {
         let mut report = NodeReport { key, seconds, ..NodeReport::of(self.run.plan, at) };
         match outcome {
             Ok((status, record)) => {
-                report.status = status;
+                (report.status, report.work_seconds) = (status, record.seconds);
                 for text in record.warnings.iter().filter(|_| status == Status::Hit) {
                     self.options.observer.event(&Event::Warning { node: &node.id, text });
                 }
