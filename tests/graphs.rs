@@ -191,7 +191,7 @@ fn the_command_refuses_with_reasons() {
 fn tracking_says_how_well_it_went() {
     let folder = tempfile::tempdir().unwrap();
     let track = root().join("graphs/track.ron").display().to_string();
-    let short = ["run", &track, "--set", "frames.seconds=6", "--set", "frames.size=96", "--set", "movie.seconds=0.5"];
+    let short = ["run", &track, "--set", "frames.seconds=6", "--set", "frames.size=160", "--set", "movie.seconds=0.5"];
     let output = heartian(folder.path(), &short);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let run = folder.path().join(text(&output.stdout).lines().last().unwrap());

@@ -37,13 +37,22 @@ struct Node {
     pinned: Pinned,
 }
 
+/// The nodes of the whole pipeline, and those that only the tracking graph has.
 fn run() -> BTreeMap<String, Pinned> {
+    let mut nodes = run_graph("export", &TINY);
+    for (id, node) in run_graph("track", &TINY[..2]) {
+        nodes.entry(id).or_insert(node);
+    }
+    nodes
+}
+
+fn run_graph(name: &str, sets: &[&str]) -> BTreeMap<String, Pinned> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_heartian"));
     command.current_dir(folder.path()).env("HEARTIAN_SIMD", "baseline").env_remove("HEARTIAN_CACHE");
-    command.arg("run").arg(root.join("graphs/export.ron")).args(["--cache", "cache", "--out", "out"]);
-    TINY.iter().for_each(|set| {
+    command.arg("run").arg(root.join(format!("graphs/{name}.ron"))).args(["--cache", "cache", "--out", "out"]);
+    sets.iter().for_each(|set| {
         command.args(["--set", set]);
     });
     let output = command.output().unwrap();

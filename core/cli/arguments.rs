@@ -12,6 +12,7 @@ use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
 use crate::bench::splat::SplatBench;
 use crate::datasets::DatasetsAction;
+use crate::bench::track::TrackBench;
 use crate::export::ExportArguments;
 use crate::measure::MeasureArguments;
 use crate::sizes;
@@ -189,6 +190,8 @@ pub enum Bench {
     Decoder(DecoderBench),
     /// The rasteriser: milliseconds and errors of a scene of yours, or over splats, resolution and precision
     Splat(SplatBench),
+    /// The head tracker: seconds a thousand frames at several sizes of its model, beside the landmarks' error
+    Track(TrackBench),
 }
 
 /// How the pulse is measured.

@@ -5,6 +5,7 @@ pub mod decoder;
 pub mod graph;
 mod pulse;
 pub mod splat;
+pub mod track;
 
 use std::process::ExitCode;
 
@@ -19,5 +20,6 @@ pub fn run(bench: &Bench) -> Result<ExitCode> {
         Bench::Pulse(arguments) => pulse::run(arguments),
         Bench::Decoder(arguments) => decoder::run(arguments),
         Bench::Splat(arguments) => splat::run(arguments),
+        Bench::Track(arguments) => track::run(arguments),
     }
 }

@@ -38,6 +38,8 @@ pub struct RealOptions {
     pub folder_hertz: f64,
     /// Rate to which uneven frames are brought, hertz; as they are when left out.
     pub resample_hertz: Option<f64>,
+    /// Which face is followed where there are several: 0 the largest, 1 the next, and so on.
+    pub face: usize,
 }
 
 impl Default for RealOptions {
@@ -49,6 +51,7 @@ impl Default for RealOptions {
             matte: true,
             folder_hertz: 30.0,
             resample_hertz: None,
+            face: 0,
         }
     }
 }
@@ -137,7 +140,7 @@ fn follow(
     nets: &FaceNets,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Followed, CaptureError> {
-    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks);
+    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks).of_rank(options.face);
     let mut followed =
         Followed { times_seconds: Vec::new(), faces: Vec::new(), frame_size: (0, 0), warnings: Vec::new() };
     let frame_bytes = options.size * options.size * 4;

@@ -5,6 +5,7 @@
 //! temporal terms → identity again, clip again → gaze. All by damped Gauss–Newton with exact Jacobians and a robust
 //! loss, in f64. The result does not depend on the number of threads: chunks are fixed and sums ordered.
 
+mod blink;
 mod clip;
 mod frame;
 mod gaze;
@@ -40,6 +41,10 @@ const LEAST_SCALE_PX: f64 = 0.35;
 /// Weight of an identity coefficient's square for each key frame: what the landmarks get wrong, they get wrong alike in
 /// every frame, so more frames must not outvote what is known of heads.
 const IDENTITY_PRIOR: f64 = 0.6;
+/// The same of the personal offset's coefficients.
+const OFFSET_PRIOR: f64 = 0.15;
+/// A frame whose landmarks lie this many times farther off than in the clip's median frame shows something else.
+const MISFIT_MEDIANS: f64 = 4.0;
 /// Distance between the outer eye corners of an adult, metres; only to set the residuals' scale.
 const EYE_CORNERS: f64 = 0.09;
 
@@ -89,7 +94,7 @@ pub fn track(
     meter.tick(None)?;
     let mut offsets = None;
     if options.personal_offset {
-        let found = personal::Offsets::new(&job.points.rest, 64);
+        let found = personal::Offsets::new(&job.points.rest, 112);
         job.points = found.extended(&job.points);
         person.identity.resize(job.points.identity_count(), 0.0);
         job.fit_person(&mut person, &mut key_states, (5, 1.0));
@@ -97,6 +102,7 @@ pub fn track(
     }
     meter.tick(None)?;
     let mut states = job.each_frame(&person, &mut meter)?;
+    job.drop_misfits(&person, &mut states);
     job.fit_clip(&person, &mut states, 6);
     meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
     for _ in 0..options.rounds {
@@ -169,6 +175,8 @@ impl<'a> Job<'a> {
             return Err(FaceError::TooFewLandmarks { name: head.name.clone(), found: most, needed: LEAST_LANDMARKS });
         }
         frames.iter_mut().filter(|seen| seen.points.len() < LEAST_LANDMARKS).for_each(|seen| *seen = Seen::default());
+        let closures = blink::closures(&points, &frames, &observations.times_seconds);
+        frames.iter_mut().zip(closures).for_each(|(seen, closure)| seen.closure = closure);
         let usable: Vec<usize> = (0..frames.len()).filter(|&t| !frames[t].points.is_empty()).collect();
         Ok(Self {
             head,
@@ -221,7 +229,9 @@ impl<'a> Job<'a> {
             frames: self.keys.iter().map(|&key| &self.frames[key]).collect(),
             scale_px: self.scale_px * widening,
             frame_prior: &self.prior,
-            identity_prior: vec![IDENTITY_PRIOR * self.keys.len() as f64; person.identity.len()],
+            identity_prior: (0..person.identity.len())
+                .map(|mode| self.keys.len() as f64 * if mode < self.modes { IDENTITY_PRIOR } else { OFFSET_PRIOR })
+                .collect(),
             focal_prior: self.options.refine_focal.then_some(100.0),
             focal_centre: self.lens.focal,
         };
@@ -281,16 +291,30 @@ impl<'a> Job<'a> {
             .collect()
     }
 
+    /// Forgets the landmarks of frames that no pose of this head explains: a hand, another face, a profile that the network
+    /// guessed at. They are marked as not fitted and interpolated like frames without a face.
+    fn drop_misfits(&mut self, person: &Person, states: &mut [State]) {
+        let shape = self.points.shape(&person.identity);
+        let setting = self.setting(person, &shape);
+        let errors: Vec<Option<f64>> =
+            self.frames.iter().zip(&*states).map(|(seen, state)| rms_px(&setting, seen, state)).collect();
+        let mut known: Vec<f64> = errors.iter().flatten().copied().collect();
+        known.sort_by(f64::total_cmp);
+        let Some(median) = known.get(known.len() / 2) else { return };
+        let limit = MISFIT_MEDIANS * median.max(self.scale_px);
+        for (seen, _) in self.frames.iter_mut().zip(&errors).filter(|(_, error)| error.is_some_and(|e| e > limit)) {
+            *seen = Seen::default();
+        }
+        clip::interpolate_missing(states, &self.frames, &self.observations.times_seconds);
+    }
+
     fn fit_clip(&self, person: &Person, states: &mut Vec<State>, iterations: usize) {
         let shape = self.points.shape(&person.identity);
         let unknowns = EXPRESSION + self.points.expression_count() + 2;
-        let weights = self
-            .observations
-            .times_seconds
-            .windows(2)
-            .map(|pair| clip::change_weights(unknowns, pair[1] - pair[0], self.options.smoothness))
-            .collect();
-        let whole = clip::Whole { setting: self.setting(person, &shape), frames: &self.frames, weights };
+        let times = &self.observations.times_seconds;
+        let link = |pair: &[f64]| clip::Link::new(unknowns, pair[1] - pair[0], self.options.smoothness);
+        let links = times.windows(2).map(link).collect();
+        let whole = clip::Whole { setting: self.setting(person, &shape), frames: &self.frames, links };
         whole.fit(states, iterations);
     }
 
@@ -298,19 +322,8 @@ impl<'a> Job<'a> {
     fn landmark_rms_px(&self, person: &Person, states: &[State]) -> f64 {
         let shape = self.points.shape(&person.identity);
         let setting = self.setting(person, &shape);
-        let (mut sum, mut count) = (0.0, 0u64);
-        for (seen, state) in self.frames.iter().zip(states) {
-            let jaw = rotation(state.jaw);
-            for (k, &point) in seen.points.iter().enumerate() {
-                if OVAL.contains(&self.points.indices[point]) {
-                    continue;
-                }
-                if let Some(pixel) = state.project(&setting, point, &jaw) {
-                    sum += (pixel - seen.pixels[k]).length_squared();
-                    count += 1;
-                }
-            }
-        }
+        let sums = self.frames.iter().zip(states).map(|(seen, state)| squares(&setting, seen, state));
+        let (sum, count) = sums.fold((0.0, 0u64), |total, own| (total.0 + own.0, total.1 + own.1));
         (sum / count.max(1) as f64).sqrt()
     }
 
@@ -354,6 +367,23 @@ impl<'a> Job<'a> {
             head,
         }
     }
+}
+
+/// Sum and number of the squared distances of observed and fitted landmarks, without the oval's.
+fn squares(setting: &Setting, seen: &Seen, state: &State) -> (f64, u64) {
+    let jaw = rotation(state.jaw);
+    let counted = |point: &usize| !OVAL.contains(&setting.points.indices[*point]);
+    let pairs = seen.points.iter().zip(&seen.pixels).filter(|(point, _)| counted(point));
+    pairs.fold((0.0, 0), |(sum, count), (point, pixel)| match state.project(setting, *point, &jaw) {
+        Some(fit) => (sum + (fit - *pixel).length_squared(), count + 1),
+        None => (sum, count),
+    })
+}
+
+/// Root mean square distance of a frame's landmarks; `None` for a frame without.
+fn rms_px(setting: &Setting, seen: &Seen, state: &State) -> Option<f64> {
+    let (sum, count) = squares(setting, seen, state);
+    (count > 0).then(|| (sum / count as f64).sqrt())
 }
 
 fn better(a: (State, f64), b: (State, f64)) -> (State, f64) {

@@ -30,6 +30,8 @@ params! {
         start_seconds: f64 = 0.0, unit("s"), range(0.0, 86400.0);
         /// Side of the square clip.
         size: usize = 256, unit("px"), range(32.0, 2048.0);
+        /// Which face is followed where a recording shows several: 1 is the largest at its start, 2 the next.
+        face: usize = 1, range(1.0, 16.0);
         /// Cut out head and neck; without, the whole crop counts.
         matte: bool = true;
         /// Frame rate of the synthetic recording, and of a folder of pictures without times.
@@ -160,6 +162,7 @@ impl FrameLoader {
             matte: self.matte,
             folder_hertz: self.frames_per_second,
             resample_hertz: self.resample_hertz,
+            face: self.face.saturating_sub(1),
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;

@@ -44,6 +44,7 @@ impl Node for TrackMovie {
             let scores = truth.score(&track);
             metrics = metrics
                 .with("track.rotation_error_deg", scores.rotation_error_deg)
+                .with("track.landmark_error_fraction", scores.landmark_error_fraction)
                 .with("track.jaw_correlation", scores.jaw_correlation)
                 .with("track.blink_f1", scores.blink_f1)
                 .with("track.blink_frame_f1", scores.blink_frame_f1);

@@ -1,6 +1,7 @@
 //! A track against the truth of a synthetic recording.
 
-use heartian_face::{FramePose, Track};
+use glam::Vec3;
+use heartian_face::{FramePose, LandmarkAnchor, Track};
 
 use super::GroundTruth;
 
@@ -15,6 +16,8 @@ pub struct TrackScores {
     /// Mean angle between the true and the tracked rotation, degrees. Two head models disagree about what facing ahead
     /// means: with another model than the true one, the mean disagreement is taken out first.
     pub rotation_error_deg: f64,
+    /// Root mean square distance of the fitted landmarks from the true ones, as a share of the distance between the eyes.
+    pub landmark_error_fraction: f64,
     /// Pearson correlation of the jaw's opening; NaN when either jaw never moves.
     pub jaw_correlation: f64,
     /// F1 of blinks: runs of frames with both lids more than half shut that overlap, within one frame; 1 when there is no
@@ -34,6 +37,7 @@ impl GroundTruth {
         let shut: Vec<(bool, bool)> = pairs.iter().map(|(a, b)| (is_shut(a), is_shut(b))).collect();
         TrackScores {
             rotation_error_deg: rotation_error_deg(&pairs, self.track.head.name == track.head.name),
+            landmark_error_fraction: landmark_error(&self.track, track),
             jaw_correlation: correlation(&jaws.0, &jaws.1),
             blink_f1: blink_f1(&shut),
             blink_frame_f1: {
@@ -61,6 +65,28 @@ fn rotation_error_deg(pairs: &[(&FramePose, &FramePose)], same_head: bool) -> f6
         (glam::DQuat::from_scaled_axis(*offset) * common.inverse()).to_scaled_axis().length().to_degrees()
     };
     offsets.iter().map(error).sum::<f64>() / count
+}
+
+/// Root mean square distance between fitted and true landmarks that both heads know, as a share of the distance between
+/// the outer eye corners.
+fn landmark_error(truth: &Track, found: &Track) -> f64 {
+    let heads = [truth.baked_head(), found.baked_head()];
+    let (mut sum, mut count) = (0.0, 0u64);
+    for (a, b) in truth.frames.iter().zip(&found.frames) {
+        let vertices = [heads[0].pose(a), heads[1].pose(b)];
+        for one in &heads[0].landmarks {
+            let Ok(k) = heads[1].landmarks.binary_search_by_key(&one.index, |anchor| anchor.index) else { continue };
+            let other = &heads[1].landmarks[k];
+            let pixel = |side: usize, track: &Track, anchor: &LandmarkAnchor| {
+                track.camera.project(Vec3::from_array(heads[side].landmark_position(anchor, &vertices[side])))
+            };
+            if let (Some(p), Some(q)) = (pixel(0, truth, one), pixel(1, found, other)) {
+                sum += f64::from(p.distance_squared(q));
+                count += 1;
+            }
+        }
+    }
+    (sum / count.max(1) as f64).sqrt() / truth.interocular_px
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {

@@ -114,18 +114,27 @@ impl LandmarkNet {
     }
 }
 
-/// Follows the most prominent face: detects where it is lost, then reads each region from the frame before.
+/// Follows one face: detects where it is lost, then reads each region from the frame before. At first the largest face
+/// is taken, or another by its rank in size; after a loss the one nearest to where it was last.
 #[derive(Debug)]
 pub struct FaceFollower<'a> {
     detector: &'a Detector,
     landmarks: &'a LandmarkNet,
+    rank: usize,
     roi: Option<Roi>,
+    last: Option<Roi>,
 }
 
 impl<'a> FaceFollower<'a> {
-    /// A follower that has seen nothing.
+    /// A follower of the largest face that has seen nothing.
     pub fn new(detector: &'a Detector, landmarks: &'a LandmarkNet) -> Self {
-        Self { detector, landmarks, roi: None }
+        Self { detector, landmarks, rank: 0, roi: None, last: None }
+    }
+
+    /// Follows the face of that rank in size instead, 0 being the largest; with fewer faces the smallest there is.
+    pub fn of_rank(mut self, rank: usize) -> Self {
+        self.rank = rank;
+        self
     }
 
     /// The landmarks in the next frame, or `None` where no face is seen.
@@ -138,7 +147,7 @@ impl<'a> FaceFollower<'a> {
         {
             return Ok(Some(found));
         }
-        let Some(detection) = self.detector.detect(image)?.into_iter().next() else { return Ok(None) };
+        let Some(detection) = choose(self.detector.detect(image)?, self.rank, self.last) else { return Ok(None) };
         // A detection frames the face differently from landmarks: read once more in the landmarks' own frame.
         if self.read(image, &Roi::from_detection(&detection))?.is_none() {
             return Ok(None);
@@ -161,6 +170,50 @@ impl<'a> FaceFollower<'a> {
             return Ok(None);
         }
         self.roi = Some(Roi::from_landmarks(&found.points_px));
+        self.last = self.roi;
         Ok(Some(found))
+    }
+}
+
+/// The detection to follow: the one nearest to the last region when its centre lies inside, else the one of that rank by
+/// size, or the smallest when there are fewer.
+fn choose(mut found: Vec<Detection>, rank: usize, last: Option<Roi>) -> Option<Detection> {
+    let side = |d: &Detection| (d.box_px[2] - d.box_px[0]).max(d.box_px[3] - d.box_px[1]);
+    found.retain(|detection| side(detection) > 0.0);
+    if let Some(last) = last {
+        let away = |d: &Detection| {
+            let offset = [0, 1].map(|k| 0.5 * (d.box_px[k] + d.box_px[k + 2]) - last.centre_px[k]);
+            offset[0].hypot(offset[1])
+        };
+        let nearest = found.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+        if let Some(detection) = nearest.filter(|detection| away(detection) < 0.5 * last.side_px) {
+            return Some(*detection);
+        }
+    }
+    found.sort_by(|a, b| side(b).total_cmp(&side(a)));
+    found.get(rank.min(found.len().saturating_sub(1))).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn face(x: f32, side: f32) -> Detection {
+        Detection { box_px: [x, 0.0, x + side, side], keypoints_px: [[x, 1.0]; 6], score: 0.9 }
+    }
+
+    #[test]
+    fn the_largest_face_is_taken_or_one_by_rank_and_after_a_loss_the_same_again() {
+        let both = || vec![face(0.0, 30.0), face(100.0, 60.0)];
+        let left = |found: Option<Detection>| found.map(|face| face.box_px[0]);
+        assert_eq!(left(choose(both(), 0, None)), Some(100.0));
+        assert_eq!(left(choose(both(), 1, None)), Some(0.0));
+        assert_eq!(left(choose(both(), 7, None)), Some(0.0), "with two faces the seventh is the smaller one");
+        let last = Roi { centre_px: [20.0, 14.0], side_px: 45.0, rotation: 0.0 };
+        assert_eq!(left(choose(both(), 0, Some(last))), Some(0.0), "the face that was followed");
+        let gone = Roi { centre_px: [900.0, 14.0], ..last };
+        assert_eq!(left(choose(both(), 0, Some(gone))), Some(100.0));
+        assert_eq!(choose(vec![face(f32::NAN, f32::NAN)], 0, None), None);
+        assert_eq!(choose(Vec::new(), 3, Some(last)), None);
     }
 }

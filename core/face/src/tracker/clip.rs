@@ -1,38 +1,70 @@
 //! The whole clip at once: every frame's fit and smooth change from frame to frame, a block-tridiagonal system.
 //!
-//! Smoothness is a random walk: a step between neighbours costs its square over the variance that the time between them
-//! allows. Frames without a face have no other term, so they are interpolated between their neighbours.
+//! The head's pose moves at a velocity of its own, an unknown of every frame that changes little from one to the next: so
+//! second differences of the pose are small and a steady turn costs nothing. Jaw, expression and lids walk at random: their
+//! first differences are small. Frames without a face have no other term, so they are interpolated between neighbours.
 
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::frame::{self, EXPRESSION, JAW, Seen, Setting, Shared, State};
-use super::linear::{cholesky, solve};
+use super::linear::{cholesky, forward, gram, solve};
 
 /// Tighter than motion alone would ask: a landmark network errs on the whole face at once, so its landmarks say less than
-/// as many independent ones. Standard deviation of the change over a thirtieth of a second: radians of turn, metres across and along the line of
-/// sight, radians of jaw, expression units, lid units.
-const TURN: f64 = 0.006;
-const SHIFT: f64 = 0.0012;
+/// as many independent ones. Standard deviations over a thirtieth of a second: change of the turn's and the shift's
+/// velocity, how far a step departs from it (radians, metres), radians of jaw, expression units, lid units.
+const TURN_CHANGE: f64 = 0.0009;
+const SHIFT_CHANGE: f64 = 0.00018;
+const TURN_SLACK: f64 = 0.0005;
+const SHIFT_SLACK: f64 = 0.00008;
 const JAW_CHANGE: f64 = 0.022;
 const EXPRESSION_CHANGE: f64 = 0.07;
 const LID_CHANGE: f64 = 0.30;
+/// Weights of the squared velocity itself, so that no head drifts away where nothing is seen: a turn of 0.05 radians or a
+/// shift of a centimetre in a thirtieth of a second is fast.
+const TURN_DRAG: f64 = 400.0;
+const SHIFT_DRAG: f64 = 1e4;
+/// Entries of the velocity.
+const VELOCITY: usize = 6;
 
-/// Weights of the squared change of each unknown from one frame to the next.
-pub fn change_weights(unknowns: usize, seconds: f64, smoothness: f64) -> Vec<f64> {
-    let share = smoothness / (seconds * 30.0).max(1e-3);
-    (0..unknowns)
-        .map(|k| {
-            let deviation = match k {
-                k if k + 2 >= unknowns => LID_CHANGE,
-                k if k >= EXPRESSION => EXPRESSION_CHANGE,
-                k if k >= JAW => JAW_CHANGE,
-                k if k >= 3 => SHIFT,
-                _ => TURN,
-            };
-            share / (deviation * deviation)
-        })
-        .collect()
+/// How one frame leads to the next.
+pub struct Link {
+    /// Thirtieths of a second between them.
+    steps: f64,
+    /// Weight of each unknown's squared change; for the pose, of its departure from the velocity.
+    change: Vec<f64>,
+    /// Weight of the velocity's squared change.
+    velocity: [f64; VELOCITY],
+}
+
+impl Link {
+    /// Between frames `seconds` apart, whose states have that many unknowns.
+    pub fn new(unknowns: usize, seconds: f64, smoothness: f64) -> Self {
+        let steps = (seconds * 30.0).max(1e-3);
+        let weight = |deviation: f64| smoothness / (steps * deviation * deviation);
+        let deviation = |k: usize| match k {
+            k if k + 2 >= unknowns => LID_CHANGE,
+            k if k >= EXPRESSION => EXPRESSION_CHANGE,
+            k if k >= JAW => JAW_CHANGE,
+            k if k >= 3 => SHIFT_SLACK,
+            _ => TURN_SLACK,
+        };
+        Self {
+            steps,
+            change: (0..unknowns).map(|k| weight(deviation(k))).collect(),
+            velocity: std::array::from_fn(|k| weight(if k < 3 { TURN_CHANGE } else { SHIFT_CHANGE })),
+        }
+    }
+
+    /// The column of the coupling with the frame before that belongs to unknown `k`: its (up to two) entries.
+    fn coupling(&self, k: usize) -> [(usize, f64); 2] {
+        let n = self.change.len();
+        match k.checked_sub(n) {
+            Some(v) => [(k, -self.velocity[v]), (k, 0.0)],
+            None if k < VELOCITY => [(k, -self.change[k]), (n + k, -self.change[k] * self.steps)],
+            None => [(k, -self.change[k]), (k, 0.0)],
+        }
+    }
 }
 
 /// Change from one state to the next, in the frame's unknowns.
@@ -46,155 +78,232 @@ fn change(from: &State, to: &State) -> Vec<f64> {
     values
 }
 
+/// States and velocities (turn, shift; over a thirtieth of a second) of all frames.
+#[derive(Clone)]
+struct Motion {
+    states: Vec<State>,
+    velocities: Vec<[f64; VELOCITY]>,
+}
+
 /// The clip's problem.
 pub struct Whole<'a> {
     /// What all frames share.
     pub setting: Setting<'a>,
     /// Landmarks; frames without points are interpolated.
     pub frames: &'a [Seen],
-    /// `T−1` rows of weights between neighbours.
-    pub weights: Vec<Vec<f64>>,
+    /// `T−1` links between neighbours.
+    pub links: Vec<Link>,
+}
+
+/// Matrix and gradient of one frame.
+type System = (Vec<f64>, Vec<f64>);
+
+/// The eliminated systems: factors, right sides, and unknowns held at their bounds.
+struct Eliminated {
+    factors: Vec<Vec<f64>>,
+    rights: Vec<Vec<f64>>,
+    held: Vec<Vec<bool>>,
 }
 
 impl Whole<'_> {
     /// Cost of the clip: every frame's and every change's.
-    pub fn cost(&self, states: &[State]) -> f64 {
+    fn cost(&self, motion: &Motion) -> f64 {
         let own: Vec<f64> = self
             .frames
             .par_iter()
-            .zip(states)
+            .zip(&motion.states)
             .map(|(seen, state)| if seen.points.is_empty() { 0.0 } else { frame::cost(&self.setting, seen, state) })
             .collect();
-        let changes: f64 = states
-            .windows(2)
-            .zip(&self.weights)
-            .map(|(pair, weights)| {
-                change(&pair[0], &pair[1])
-                    .iter()
-                    .zip(weights)
-                    .map(|(value, weight)| weight * value * value)
-                    .sum::<f64>()
+        let changes: f64 = (0..self.links.len()).map(|t| self.link_cost(motion, t)).sum();
+        let drags: f64 = motion.velocities.iter().flat_map(|v| (0..VELOCITY).map(|k| drag(k) * v[k] * v[k])).sum();
+        own.iter().sum::<f64>() + changes + drags
+    }
+
+    fn link_cost(&self, motion: &Motion, t: usize) -> f64 {
+        let (residuals, turns) = self.residuals(motion, t);
+        let link = &self.links[t];
+        let cost = |values: &[f64], weights: &[f64]| values.iter().zip(weights).map(|(v, w)| w * v * v).sum::<f64>();
+        cost(&residuals, &link.change) + cost(&turns, &link.velocity)
+    }
+
+    /// What a link weighs: changes (the pose's less its velocity), and the velocity's change.
+    fn residuals(&self, motion: &Motion, t: usize) -> (Vec<f64>, [f64; VELOCITY]) {
+        let mut values = change(&motion.states[t], &motion.states[t + 1]);
+        let (now, next) = (motion.velocities[t], motion.velocities[t + 1]);
+        (0..VELOCITY).for_each(|k| values[k] -= now[k] * self.links[t].steps);
+        (values, std::array::from_fn(|k| next[k] - now[k]))
+    }
+
+    /// Velocities as the states change, averaged over a few frames.
+    fn velocities(&self, states: &[State]) -> Vec<[f64; VELOCITY]> {
+        let last = states.len() - 1;
+        (0..states.len())
+            .map(|t| {
+                let (from, to) = (t.saturating_sub(2), (t + 2).min(last));
+                let steps: f64 = self.links[from..to].iter().map(|link| link.steps).sum();
+                let moved = if from < to { change(&states[from], &states[to]) } else { vec![0.0; VELOCITY] };
+                std::array::from_fn(|k| moved[k] / steps.max(1e-3))
             })
-            .sum();
-        own.iter().sum::<f64>() + changes
+            .collect()
     }
 
     /// Runs up to `iterations` damped steps.
     pub fn fit(&self, states: &mut Vec<State>, iterations: usize) {
-        let mut best = self.cost(states);
-        let mut damping = 1e-4;
+        if states.is_empty() {
+            return;
+        }
+        let mut motion = Motion { velocities: self.velocities(states), states: std::mem::take(states) };
+        let mut best = self.cost(&motion);
+        let mut damping = 1e-6;
         for _ in 0..iterations {
             let mut gain = 0.0;
-            let Some(systems) = self.systems(states) else { return };
+            let Some(systems) = self.systems(&motion) else { break };
             for _ in 0..5 {
-                let trial = self.step(&systems, states, damping);
+                let trial = self.step(&systems, &motion, damping);
                 let trial_cost = trial.as_ref().map_or(f64::INFINITY, |trial| self.cost(trial));
                 if let (Some(trial), true) = (trial, trial_cost < best) {
                     gain = (best - trial_cost) / best.max(1e-12);
-                    (*states, best) = (trial, trial_cost);
-                    damping = (damping * 0.2).max(1e-8);
+                    (motion, best) = (trial, trial_cost);
+                    damping = (damping * 0.2).max(1e-9);
                     break;
                 }
-                damping = damping.max(1e-5) * 10.0;
+                damping = damping.max(1e-6) * 10.0;
             }
             if gain < 1e-5 {
                 break;
             }
         }
+        *states = motion.states;
     }
 
     /// Normal equations of every frame, changes included: matrix and gradient.
-    fn systems(&self, states: &[State]) -> Option<Vec<(Vec<f64>, Vec<f64>)>> {
-        let own: Option<Vec<(Vec<f64>, Vec<f64>)>> = self
+    fn systems(&self, motion: &Motion) -> Option<Vec<System>> {
+        let own: Option<Vec<System>> = self
             .frames
             .par_iter()
-            .zip(states)
-            .map(|(seen, state)| {
-                let n = state.unknowns();
-                if seen.points.is_empty() {
-                    return Some((vec![0.0; n * n], vec![0.0; n]));
-                }
-                let design = frame::linearised(&self.setting, seen, state, Shared::default())?;
-                let (mut matrix, mut gradient) = design.normal();
-                frame::add_prior(&mut matrix, &mut gradient, self.setting.prior, &state.local());
-                Some((matrix, gradient))
-            })
+            .zip(motion.states.par_iter().zip(&motion.velocities))
+            .map(|(seen, (state, velocity))| self.own_system(seen, state, velocity))
             .collect();
         let mut systems = own?;
-        for (t, weights) in self.weights.iter().enumerate() {
-            let change = change(&states[t], &states[t + 1]);
-            let n = change.len();
-            for k in 0..n {
-                let pull = weights[k] * change[k];
-                systems[t].0[k * n + k] += weights[k];
-                systems[t].1[k] -= pull;
-                systems[t + 1].0[k * n + k] += weights[k];
-                systems[t + 1].1[k] += pull;
-            }
+        for t in 0..self.links.len() {
+            self.add_link(t, self.residuals(motion, t), &mut systems);
         }
         Some(systems)
     }
 
-    /// Block Thomas: forward elimination with the diagonal couplings, then back substitution.
-    fn step(&self, systems: &[(Vec<f64>, Vec<f64>)], states: &[State], damping: f64) -> Option<Vec<State>> {
-        let n = states.first()?.unknowns();
-        let mut factors: Vec<Vec<f64>> = Vec::with_capacity(states.len());
-        let mut rights: Vec<Vec<f64>> = Vec::with_capacity(states.len());
-        let mut held_all: Vec<Vec<bool>> = Vec::with_capacity(states.len());
-        for (t, state) in states.iter().enumerate() {
-            let (mut matrix, mut right) = (systems[t].0.clone(), systems[t].1.iter().map(|g| -g).collect::<Vec<f64>>());
-            let held = state.held(&systems[t].1);
-            (0..n).for_each(|k| matrix[k * n + k] = matrix[k * n + k] * (1.0 + damping) + 1e-9);
-            if t > 0 {
-                self.eliminate_before(t, (&factors[t - 1], &rights[t - 1], &held_all[t - 1]), &mut matrix, &mut right);
-            }
-            for k in (0..n).filter(|k| held[*k]) {
-                (0..n).for_each(|j| (matrix[k * n + j], matrix[j * n + k]) = (0.0, 0.0));
-                matrix[k * n + k] = 1.0;
-                right[k] = 0.0;
-            }
-            if !cholesky(&mut matrix, n) {
-                return None;
-            }
-            factors.push(matrix);
-            rights.push(right);
-            held_all.push(held);
+    /// One frame's system without its neighbours, its velocity behind its unknowns.
+    fn own_system(&self, seen: &Seen, state: &State, velocity: &[f64; VELOCITY]) -> Option<System> {
+        let n = state.unknowns();
+        let m = n + VELOCITY;
+        let (mut matrix, mut gradient) = (vec![0.0; m * m], vec![0.0; m]);
+        if !seen.points.is_empty() {
+            let design = frame::linearised(&self.setting, seen, state, Shared::default())?;
+            let (mut own, mut own_gradient) = design.normal();
+            frame::add_beliefs(&mut own, &mut own_gradient, self.setting.prior, (seen, state));
+            matrix.chunks_mut(m).zip(own.chunks(n)).for_each(|(row, own)| row[..n].copy_from_slice(own));
+            gradient[..n].copy_from_slice(&own_gradient);
         }
-        let mut steps: Vec<Vec<f64>> = vec![Vec::new(); states.len()];
-        for t in (0..states.len()).rev() {
+        for k in 0..VELOCITY {
+            matrix[(n + k) * m + n + k] += drag(k);
+            gradient[n + k] += drag(k) * velocity[k];
+        }
+        Some((matrix, gradient))
+    }
+
+    /// Adds what a link puts on the diagonal blocks and gradients of its two frames.
+    fn add_link(&self, t: usize, (residuals, turns): (Vec<f64>, [f64; VELOCITY]), systems: &mut [System]) {
+        let (n, link) = (residuals.len(), &self.links[t]);
+        let m = n + VELOCITY;
+        let [(before, before_gradient), (after, after_gradient)] = &mut systems[t..t + 2] else { return };
+        for k in 0..n {
+            let (weight, pull) = (link.change[k], link.change[k] * residuals[k]);
+            before[k * m + k] += weight;
+            after[k * m + k] += weight;
+            before_gradient[k] -= pull;
+            after_gradient[k] += pull;
+            if k < VELOCITY {
+                let v = n + k;
+                before[k * m + v] += weight * link.steps;
+                before[v * m + k] += weight * link.steps;
+                before[v * m + v] += weight * link.steps * link.steps + link.velocity[k];
+                after[v * m + v] += link.velocity[k];
+                before_gradient[v] -= pull * link.steps + link.velocity[k] * turns[k];
+                after_gradient[v] += link.velocity[k] * turns[k];
+            }
+        }
+    }
+
+    /// Block Thomas: forward elimination, then back substitution.
+    fn step(&self, systems: &[System], motion: &Motion, damping: f64) -> Option<Motion> {
+        let Eliminated { factors, rights, held } = self.eliminated(systems, motion, damping)?;
+        let mut next = motion.clone();
+        let mut after: Option<Vec<f64>> = None;
+        for t in (0..factors.len()).rev() {
             let mut right = rights[t].clone();
-            if let Some(after) = steps.get(t + 1) {
-                for k in (0..n).filter(|k| !held_all[t][*k]) {
-                    right[k] += self.weights[t][k] * after[k];
+            if let Some(after) = &after {
+                for (k, value) in after.iter().enumerate() {
+                    for (row, coupling) in self.links[t].coupling(k) {
+                        right[row] -= if held[t].get(row) == Some(&true) { 0.0 } else { coupling * value };
+                    }
                 }
             }
-            solve(&factors[t], n, &mut right);
-            steps[t] = right;
+            solve(&factors[t], right.len(), &mut right);
+            let n = motion.states[t].unknowns();
+            next.states[t] = motion.states[t].stepped(&right[..n]);
+            next.velocities[t].iter_mut().zip(&right[n..]).for_each(|(value, change)| *value += change);
+            after = Some(right);
         }
-        Some(states.iter().zip(&steps).map(|(state, step)| state.stepped(step)).collect())
+        Some(next)
+    }
+
+    fn eliminated(&self, systems: &[System], motion: &Motion, damping: f64) -> Option<Eliminated> {
+        let mut done = Eliminated { factors: Vec::new(), rights: Vec::new(), held: Vec::new() };
+        for (t, (state, (matrix, gradient))) in motion.states.iter().zip(systems).enumerate() {
+            let (mut matrix, mut right) = (matrix.clone(), gradient.iter().map(|g| -g).collect::<Vec<f64>>());
+            let m = right.len();
+            let held = state.held(gradient);
+            (0..m).for_each(|k| matrix[k * m + k] = matrix[k * m + k] * (1.0 + damping) + 1e-9);
+            if t > 0 {
+                self.eliminate_before(t, &done, (&mut matrix, &mut right));
+            }
+            for k in (0..held.len()).filter(|k| held[*k]) {
+                (0..m).for_each(|j| (matrix[k * m + j], matrix[j * m + k]) = (0.0, 0.0));
+                matrix[k * m + k] = 1.0;
+                right[k] = 0.0;
+            }
+            if !cholesky(&mut matrix, m) {
+                return None;
+            }
+            done.factors.push(matrix);
+            done.rights.push(right);
+            done.held.push(held);
+        }
+        Some(done)
     }
 
     /// Subtracts what the frame before, already factored, contributes to this frame's system.
-    fn eliminate_before(
-        &self,
-        t: usize,
-        (factor, right_before, held): (&[f64], &[f64], &[bool]),
-        matrix: &mut [f64],
-        right: &mut [f64],
-    ) {
-        let (n, weights) = (right.len(), &self.weights[t - 1]);
-        let mut before = right_before.to_vec();
-        solve(factor, n, &mut before);
-        for k in (0..n).filter(|k| !held[*k]) {
-            right[k] += weights[k] * before[k];
-            let mut unit = vec![0.0; n];
-            unit[k] = weights[k];
-            solve(factor, n, &mut unit);
-            for j in (0..n).filter(|j| !held[*j]) {
-                matrix[j * n + k] -= weights[j] * unit[j];
+    fn eliminate_before(&self, t: usize, done: &Eliminated, (matrix, right): (&mut [f64], &mut [f64])) {
+        let m = right.len();
+        let (factor, held) = (&done.factors[t - 1], &done.held[t - 1]);
+        // Columns of L⁻¹·[coupling right]: their products are what elimination takes away.
+        let mut columns = vec![0.0; (m + 1) * m];
+        for k in 0..m {
+            for (row, value) in self.links[t - 1].coupling(k) {
+                columns[k * m + row] += if held.get(row) == Some(&true) { 0.0 } else { value };
             }
         }
+        columns[m * m..].copy_from_slice(&done.rights[t - 1]);
+        columns.chunks_mut(m).for_each(|column| forward(factor, m, column));
+        let taken = gram(&columns, m);
+        for k in 0..m {
+            right[k] -= taken[k * (m + 1) + m];
+            matrix[k * m..(k + 1) * m].iter_mut().zip(&taken[k * (m + 1)..]).for_each(|(value, taken)| *value -= taken);
+        }
     }
+}
+
+fn drag(k: usize) -> f64 {
+    if k < 3 { TURN_DRAG } else { SHIFT_DRAG }
 }
 
 /// Fills the states of frames without a face from their neighbours in time; ends are held.

@@ -19,6 +19,8 @@ const JAW_RANGE: [f64; 2] = [0.0, 0.7];
 const EXPRESSION_LIMIT: f64 = 3.0;
 /// A residual of this many scales pulls a quarter as hard as a quadratic loss would let it.
 const ROBUST: f64 = 8.0;
+/// Weight of the squared distance of a lid from how far a blink closes it.
+const CLOSURE: f64 = 400.0;
 
 /// Pinhole intrinsics.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +40,8 @@ pub struct Seen {
     pub pixels: Vec<DVec2>,
     /// Confidence.
     pub weights: Vec<f64>,
+    /// How far both lids are closed, where the clip shows it better than these landmarks do.
+    pub closure: Option<f64>,
 }
 
 /// The unknowns of a frame.
@@ -182,6 +186,9 @@ pub fn cost(setting: &Setting, seen: &Seen, state: &State) -> f64 {
         }
     }
     let local = state.local();
+    if let Some(closure) = seen.closure {
+        sum += state.eyelids.iter().map(|lid| CLOSURE * (lid - closure).powi(2)).sum::<f64>();
+    }
     sum + local.iter().zip(setting.prior).map(|(value, weight)| weight * value * value).sum::<f64>()
 }
 
@@ -322,7 +329,7 @@ pub fn fit(setting: &Setting, seen: &Seen, start: State, iterations: usize) -> (
     for _ in 0..iterations {
         let Some(design) = linearised(setting, seen, &state, Shared::default()) else { break };
         let (mut matrix, mut gradient) = design.normal();
-        add_prior(&mut matrix, &mut gradient, setting.prior, &state.local());
+        add_beliefs(&mut matrix, &mut gradient, setting.prior, (seen, &state));
         let held = state.held(&gradient);
         let mut gain = 0.0;
         for _ in 0..6 {
@@ -342,6 +349,18 @@ pub fn fit(setting: &Setting, seen: &Seen, start: State, iterations: usize) -> (
         }
     }
     (state, best)
+}
+
+/// Adds to a frame's own normal equations what is believed beside its landmarks: the priors, and a blink's closure.
+pub fn add_beliefs(matrix: &mut [f64], gradient: &mut [f64], prior: &[f64], (seen, state): (&Seen, &State)) {
+    add_prior(matrix, gradient, prior, &state.local());
+    let n = gradient.len();
+    if let Some(closure) = seen.closure {
+        for (k, lid) in (n - 2..n).zip(state.eyelids) {
+            matrix[k * n + k] += CLOSURE;
+            gradient[k] += CLOSURE * (lid - closure);
+        }
+    }
 }
 
 /// Adds a diagonal prior to normal equations whose first unknowns it concerns.

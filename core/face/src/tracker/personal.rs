@@ -11,11 +11,11 @@ use super::points::Points;
 use crate::model::{HeadModel, JOINTS, Region, joint};
 
 /// Reach of the kernel, metres.
-const REACH: f64 = 0.016;
+const REACH: f64 = 0.009;
 /// Standard deviation of the offset across and along the line of sight, metres.
 const DEVIATION: DVec3 = DVec3::new(0.0026, 0.0026, 0.0018);
 /// Directions whose variance is below this share of the whole are dropped.
-const CUT: f64 = 0.02;
+const CUT: f64 = 0.05;
 
 /// The directions: pivots and the factor of their kernel matrix.
 pub struct Offsets {

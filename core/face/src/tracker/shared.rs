@@ -140,7 +140,7 @@ impl Joint<'_> {
         let shared = width - own;
         let mut gradient = all_gradient[..own].to_vec();
         let mut factor: Vec<f64> = matrix.chunks(width).take(own).flat_map(|row| &row[..own]).copied().collect();
-        frame::add_prior(&mut factor, &mut gradient, self.frame_prior, &state.local());
+        frame::add_beliefs(&mut factor, &mut gradient, self.frame_prior, (seen, state));
         let held = state.held(&gradient);
         for i in 0..own {
             factor[i * own + i] = factor[i * own + i] * (1.0 + damping) + 1e-9;

@@ -166,6 +166,38 @@ fn it_follows_a_talking_head_through_noise_and_dropouts() -> Result<(), FaceErro
     Ok(())
 }
 
+/// What a detector sees of the template turned by `yaw`, exactly.
+fn turned(head: &HeadModel, yaw: f64) -> Vec<Landmark> {
+    let camera = Camera::at_origin(256, 256, 563.2);
+    let pose = FramePose { rotation: [0.0, yaw as f32, 0.0], translation: [0.0, 0.0, -0.8], ..FramePose::rest(0) };
+    let vertices = head.pose(&pose);
+    let landmark = |anchor: &crate::LandmarkAnchor| {
+        let pixel = camera.project(Vec3::from_array(head.landmark_position(anchor, &vertices)))?;
+        Some(Landmark { index: anchor.index, position_px: pixel.to_array(), weight: 1.0 })
+    };
+    head.landmarks.iter().filter_map(landmark).collect()
+}
+
+#[test]
+fn a_head_is_followed_into_profile_and_what_is_no_face_becomes_a_gap() -> Result<(), FaceError> {
+    let head = HeadModel::procedural();
+    let yaw = |t: usize| 1.35 * (TAU * t as f64 / 120.0).sin();
+    let mut frames: Vec<Option<Vec<Landmark>>> = (0..60).map(|t| Some(turned(&head, yaw(t)))).collect();
+    let mut random = Random(9);
+    for landmark in frames[40..43].iter_mut().flatten().flatten() {
+        landmark.position_px = [0, 1].map(|_| (128.0 + 60.0 * random.normal()) as f32);
+    }
+    let observations = Observations::new(256, 256, (0..60).map(|t| t as f64 / 30.0).collect(), frames)?;
+    let options = TrackOptions { focal_px: Some(563.2), ..TrackOptions::default() };
+    let found = track(&head, &observations, &options, &mut silent)?;
+    for (t, pose) in found.frames.iter().enumerate() {
+        assert_eq!(pose.fitted, !(40..43).contains(&t), "frame {t}");
+        let error = (f64::from(pose.rotation[1]) - yaw(t)).to_degrees();
+        assert!(error.abs() < 3.0, "frame {t}: {error}");
+    }
+    Ok(())
+}
+
 /// Still frames of the template, for tests of input.
 fn frames_of(head: &HeadModel, count: usize) -> Vec<Option<Vec<Landmark>>> {
     let camera = Camera::at_origin(128, 128, 150.0);
