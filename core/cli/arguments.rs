@@ -11,8 +11,8 @@ pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments}
 use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
 use crate::bench::splat::SplatBench;
-use crate::datasets::DatasetsAction;
 use crate::bench::track::TrackBench;
+use crate::datasets::DatasetsAction;
 use crate::export::ExportArguments;
 use crate::measure::MeasureArguments;
 use crate::sizes;

@@ -67,10 +67,10 @@ mod tests {
             return Ok(None);
         }
         let mut found = Vec::new();
-        let video = video::open(&source, &VideoOptions { start_seconds: 0.0, folder_hertz: 25.0 })?;
+        let video = video::open(&source, &VideoOptions::default())?;
         video::for_each_frame(video, |frame| {
             found.push(frame.image);
-            Ok(if found.len() < count { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
+            Ok::<_, CaptureError>(if found.len() < count { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
         })?;
         Ok(Some((nets, found)))
     }
