@@ -189,17 +189,22 @@ impl Scattered {
 pub(crate) fn bin(reached: &[Reached], keys: &[u64], size: [usize; 2]) -> Tiles {
     let (columns, rows) = (size[0].div_ceil(TILE_WIDTH), size[1].div_ceil(TILE_HEIGHT));
     let (tiles, total) = (columns * rows, reached.iter().map(|r| r.tiles.len()).sum::<usize>());
-    let (mut slot_offsets, mut places) = (Vec::with_capacity(keys.len() + 1), Vec::with_capacity(total));
-    let mut sum = 0;
-    for chunk in reached {
-        for count in &chunk.counts {
+    let (order, (slot_offsets, places)) = rayon::join(
+        || order_by_key(keys),
+        || {
+            let (mut slot_offsets, mut places) = (Vec::with_capacity(keys.len() + 1), Vec::with_capacity(total));
+            let mut sum = 0;
+            for chunk in reached {
+                for count in &chunk.counts {
+                    slot_offsets.push(sum);
+                    sum += count;
+                }
+                places.extend_from_slice(&chunk.tiles);
+            }
             slot_offsets.push(sum);
-            sum += count;
-        }
-        places.extend_from_slice(&chunk.tiles);
-    }
-    slot_offsets.push(sum);
-    let order = order_by_key(keys);
+            (slot_offsets, places)
+        },
+    );
     let slots = |i: u32| slot_offsets[i as usize] as usize..slot_offsets[i as usize + 1] as usize;
     let (offsets, entries) = lists(&order, slots, &places, tiles);
     Tiles { columns, rows, offsets, entries, slot_offsets }

@@ -11,7 +11,7 @@ use crate::lanes::MAX_LANES;
 use crate::project::{GeometryGradient, Splat, SplatGradient, View, project_backward};
 use crate::raster::{self, PlaneGradients, RECORD_HEAD, SLOT_HEAD, Slots};
 use crate::render::{CHUNK, Frame, FrameGradient, Prepared, with_channels};
-use crate::scratch::Scratch;
+use crate::scratch::{Scratch, zeros};
 use rayon::prelude::*;
 
 /// Exact gradients of a loss with respect to the scene that `prepared` and `frame` came from.
@@ -75,14 +75,14 @@ fn gather(gaussians: &Gaussians, prepared: &Prepared, slots: &[f32]) -> SceneGra
     let (n, channels) = (gaussians.len(), gaussians.channels);
     let view = View::new(&prepared.camera, &prepared.options);
     let mut out = SceneGradients {
-        means: vec![[0.0; 3]; n],
-        scales: vec![[0.0; 3]; n],
-        rotations: vec![[0.0; 4]; n],
-        opacities: vec![0.0; n],
-        features: vec![0.0; n * channels],
-        means_px: vec![[0.0; 2]; n],
-        weights: vec![0.0; n],
-        radii_px: vec![0.0; n],
+        means: zeros(n),
+        scales: zeros(n),
+        rotations: zeros(n),
+        opacities: zeros(n),
+        features: zeros(n * channels),
+        means_px: zeros(n),
+        weights: zeros(n),
+        radii_px: zeros(n),
     };
     let rows =
         out.means.par_chunks_mut(CHUNK).zip(out.scales.par_chunks_mut(CHUNK)).zip(out.rotations.par_chunks_mut(CHUNK));

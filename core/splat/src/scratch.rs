@@ -3,6 +3,8 @@
 //! What always holds: at most [`KEPT`] vectors of at most [`MOST_FLOATS`] floats each wait for their next use; what is in
 //! them is whatever the last user left.
 
+use rayon::prelude::*;
+use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
 use std::sync::Mutex;
 
@@ -12,6 +14,16 @@ const KEPT: usize = 4;
 const MOST_FLOATS: usize = 1 << 24;
 
 static SPARE: Mutex<Vec<Vec<f32>>> = Mutex::new(Vec::new());
+
+/// `length` zeros, written by all threads: what fresh pages cost is shared.
+pub(crate) fn zeros<T: Copy + Default + Send>(length: usize) -> Vec<T> {
+    let mut values = Vec::with_capacity(length);
+    let room = &mut values.spare_capacity_mut()[..length];
+    room.par_chunks_mut(1 << 14).for_each(|chunk| chunk.fill(MaybeUninit::new(T::default())));
+    // SAFETY: each of the `length` values was written.
+    unsafe { values.set_len(length) };
+    values
+}
 
 /// Some floats; on being dropped they wait for the next that needs as many.
 #[derive(Clone, Debug, Default)]

@@ -5,8 +5,11 @@ use crate::lanes::FORCED;
 use crate::reference::{Scene, composite, tiled};
 use crate::{FrameGradient, SimdLevel, SplatError, backward, render, simd_level};
 
+/// Arrays by name.
+type Named = Vec<(&'static str, Vec<f32>)>;
+
 /// Frame and gradients at a level, on a pool of one thread that is held to it.
-fn at_level(level: SimdLevel, owned: &Owned) -> Result<Vec<(&'static str, Vec<f32>)>, Box<dyn std::error::Error>> {
+fn at_level(level: SimdLevel, owned: &Owned) -> Result<Named, Box<dyn std::error::Error>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let result = pool.install(|| -> Result<_, SplatError> {
         FORCED.set(Some(level));
