@@ -182,3 +182,21 @@ fn kinds_and_schemas_come_as_json() {
     }
     assert_eq!(bench.json(&["schema", "Renderer"])["title"], "Renderer");
 }
+
+#[test]
+fn devices_are_listed_and_a_graph_takes_one() {
+    let bench = Bench::new();
+    let found = bench.json(&["devices", "--json"]);
+    let adapters = found["adapters"].as_array().unwrap();
+    let automatic: Vec<&Value> = adapters.iter().filter(|adapter| adapter["is_automatic"] == true).collect();
+    assert!(automatic.iter().all(|adapter| adapter["is_software"] == false), "auto takes no software adapter: {found}");
+    assert_eq!(found["auto"], automatic.first().map_or(Value::from("cpu"), |adapter| adapter["name"].clone()));
+    assert!(bench.said(&["devices"]).contains("--device auto takes "));
+
+    let full = Path::new(env!("CARGO_MANIFEST_DIR")).join("graphs/full.ron").display().to_string();
+    for device in ["auto", "cpu"] {
+        assert!(bench.said(&["check", &full, "--device", device]).contains("nothing wrong"));
+    }
+    let refused = bench.heartian(&["check", &full, "--device", "cuda"]);
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("auto, cpu or gpu"));
+}

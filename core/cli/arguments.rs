@@ -16,6 +16,7 @@ use crate::datasets::DatasetsAction;
 use crate::export::ExportArguments;
 use crate::measure::MeasureArguments;
 use crate::sizes;
+use heartian_splat::Device;
 
 /// Relightable Gaussian head avatars that carry a prescribed heartbeat, as one cached dataflow graph.
 #[derive(Parser)]
@@ -154,6 +155,18 @@ Examples:
         #[command(subcommand)]
         action: DatasetsAction,
     },
+    /// Show what frames can be rendered on: this machine's GPUs, and which of them `auto` takes
+    #[command(after_help = "\
+A GPU is used where a run asks for it:
+  heartian run graphs/full.ron --device auto      a real GPU where there is one, else the CPU
+  heartian run graphs/full.ron --device gpu       a GPU, a software one if need be; an error where there is none
+A software adapter (llvmpipe, for example) computes on the CPU, many times slower than `--device cpu`: `auto` never takes
+it.")]
+    Devices {
+        /// As JSON
+        #[arg(long)]
+        json: bool,
+    },
     /// Fetch, list or verify the face models that real videos need
     Models {
         /// What to do with them.
@@ -269,6 +282,9 @@ pub struct GraphArguments {
     /// Only what this node needs; may be repeated
     #[arg(long = "target", value_name = "NODE")]
     pub targets: Vec<String>,
+    /// What all nodes that can use a GPU run on: auto, cpu or gpu [default: what each node says, which is cpu]
+    #[arg(long, value_name = "DEVICE")]
+    pub device: Option<Device>,
 }
 
 /// A run.

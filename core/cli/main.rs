@@ -11,6 +11,7 @@ mod clock;
 mod compare;
 mod datasets;
 mod deliver;
+mod devices;
 mod draw;
 mod explain;
 mod export;
@@ -60,6 +61,7 @@ fn main() -> ExitCode {
         }
         Command::Bench { bench } => bench::run(&bench),
         Command::Datasets { action } => datasets::act(&action),
+        Command::Devices { json } => devices::print(json),
         Command::Models { action } => models::act(action),
     };
     done.unwrap_or_else(|report| {

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use heartian_graph::{Graph, Plan};
+use heartian_splat::{AdapterReport, Device, adapters};
 use miette::Result;
 
 use crate::arguments::{GraphArguments, RunArguments};
@@ -10,12 +11,32 @@ use crate::plugins;
 use crate::session::{INTERRUPTED, Job, Session};
 use crate::summary;
 
+/// The parameter of nodes that can use a GPU.
+const DEVICE: &str = "device";
+
 /// Reads a graph with what the command line changes in it, and checks it.
 pub fn load(arguments: &GraphArguments) -> Result<(Graph, Plan)> {
     let mut graph = Graph::load(&arguments.graph)?;
     arguments.sets.iter().for_each(|set| graph.set(set));
     let plan = graph.plan(plugins::registry()?, &arguments.targets)?;
+    let Some(device) = arguments.device else { return Ok((graph, plan)) };
+    choose_device(&mut graph, &plan, device, &arguments.sets);
+    let plan = graph.plan(plugins::registry()?, &arguments.targets)?;
     Ok((graph, plan))
+}
+
+/// Sets the parameter `device` of all nodes that have it, but for those that `--set` names.
+fn choose_device(graph: &mut Graph, plan: &Plan, device: Device, sets: &[String]) {
+    for node in plan.nodes.iter().filter(|node| node.kind.param(DEVICE).is_some()) {
+        let name = format!("{}.{DEVICE}", node.id);
+        if !sets.iter().any(|set| set.split_once('=').is_some_and(|(named, _)| named.trim() == name)) {
+            graph.set_from("--device", &format!("{name}={device:?}"));
+        }
+    }
+    let suits = |adapter: &&AdapterReport| adapter.suits(device);
+    if device == Device::Gpu && adapters().iter().find(suits).is_some_and(|adapter| adapter.is_software) {
+        eprintln!("warning: the only GPU here is a software one, many times slower than `--device cpu`");
+    }
 }
 
 /// Checks a graph and shows its plan.

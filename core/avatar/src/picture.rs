@@ -154,35 +154,48 @@ impl Picture {
         gradient: &mut Canonical,
     ) -> Result<PictureGradient, AvatarError> {
         let scene = heartian_splat::backward(&self.scene.gaussians(), &self.prepared, &self.frame, upstream)?;
+        Ok(self.scene.backward(scene, canonical, motion, gradient))
+    }
+}
+
+impl Scene {
+    /// Pulls the rasteriser's gradients back through activations and deformation; *adds* to `gradient`.
+    pub fn backward(
+        &self,
+        scene: SceneGradients,
+        canonical: &Canonical,
+        motion: &Motion,
+        gradient: &mut Canonical,
+    ) -> PictureGradient {
         let mut on_deformed = Deformed {
             positions: scene.means.as_flattened().to_vec(),
             rotations: scene.rotations.as_flattened().to_vec(),
         };
-        for ((to, g), s) in gradient.log_scales.iter_mut().zip(scene.scales.as_flattened()).zip(&self.scene.scales) {
+        for ((to, g), s) in gradient.log_scales.iter_mut().zip(scene.scales.as_flattened()).zip(&self.scales) {
             *to += g * s;
         }
-        for ((to, g), o) in gradient.opacity_logits.iter_mut().zip(&scene.opacities).zip(&self.scene.opacities) {
+        for ((to, g), o) in gradient.opacity_logits.iter_mut().zip(&scene.opacities).zip(&self.opacities) {
             *to += g * o * (1.0 - o);
         }
         self.features_backward(&scene.features, &mut on_deformed, gradient);
         let motion = deform_backward(canonical, motion, &on_deformed, gradient);
-        Ok(PictureGradient { motion, scene })
+        PictureGradient { motion, scene }
     }
 
     fn features_backward(&self, upstream: &[f32], on_deformed: &mut Deformed, gradient: &mut Canonical) {
-        let channels = self.scene.kind.channels();
-        let rows = upstream.chunks(channels).zip(self.scene.features.chunks(channels));
+        let channels = self.kind.channels();
+        let rows = upstream.chunks(channels).zip(self.features.chunks(channels));
         for (index, (g, value)) in rows.enumerate() {
             for channel in 0..3 {
                 let albedo = value[channel];
                 gradient.albedo_logits[3 * index + channel] += g[channel] * albedo * (1.0 - albedo);
             }
-            if self.scene.kind == Features::Albedo {
+            if self.kind == Features::Albedo {
                 continue;
             }
-            let facing = self.scene.facing[index];
+            let facing = self.facing[index];
             let on_axis = [g[3] * facing, g[4] * facing, g[5] * facing];
-            let on_rotation = third_axis_backward(row(&self.scene.deformed.rotations, index), on_axis);
+            let on_rotation = third_axis_backward(row(&self.deformed.rotations, index), on_axis);
             for (to, from) in on_deformed.rotations[4 * index..4 * index + 4].iter_mut().zip(on_rotation) {
                 *to += from;
             }

@@ -4,9 +4,13 @@
 //! A clip holds straight colours: what is composited over black is divided by alpha before it is stored. A modulation
 //! of zero gives the same bytes as none.
 
+mod device;
+
+use std::sync::Arc;
+
 use heartian_face::Track;
 use heartian_space::{Clip, Modulation, Sequence, color};
-use heartian_splat::{Environment, Frame, shade, srgb_encode};
+use heartian_splat::{Environment, Frame, Gpu, shade, srgb_encode};
 use rayon::prelude::*;
 
 use crate::AvatarError;
@@ -25,7 +29,12 @@ pub struct RenderOptions<'a> {
     pub modulation: Option<&'a Modulation>,
     /// Side of the square picture instead of the recording's size, pixels.
     pub size: Option<usize>,
+    /// The GPU to render on instead of the CPU; its frames are the same within a code or so.
+    pub gpu: Option<&'a Arc<Gpu>>,
 }
+
+/// A frame's colours (RGB) and matte.
+type Pixels = (Vec<u8>, Vec<u8>);
 
 /// Renders every frame of a track.
 ///
@@ -55,20 +64,26 @@ pub(crate) fn render_states(
         camera = camera.scaled_to(size, size);
     }
     let environment = options.environment.unwrap_or(&avatar.environment);
-    let frames: Vec<(Vec<u8>, Vec<u8>)> = states
-        .par_iter()
-        .enumerate()
-        .map(|(index, state)| {
-            let mut scene = Scene::new(&avatar.canonical, &avatar.motion.motion(state), &camera, Features::Materials);
-            if let Some(modulation) = options.modulation {
-                let Modulation { gaussians, red_blue, .. } = modulation;
-                scene.add_albedo(AlbedoOffsets { gaussians, green: modulation.frame(index), red_blue });
-            }
-            let picture = scene.picture(&camera)?;
-            let linear = shade(&picture.frame, &camera, environment)?;
-            Ok(quantised(&picture.frame, &srgb_encode(&linear)))
-        })
-        .collect::<Result<_, AvatarError>>()?;
+    let scene = |index: usize| {
+        let motion = avatar.motion.motion(states[index]);
+        let mut scene = Scene::new(&avatar.canonical, &motion, &camera, Features::Materials);
+        if let Some(modulation) = options.modulation {
+            let Modulation { gaussians, red_blue, .. } = modulation;
+            scene.add_albedo(AlbedoOffsets { gaussians, green: modulation.frame(index), red_blue });
+        }
+        scene
+    };
+    let frames: Vec<Pixels> = match options.gpu {
+        Some(gpu) => device::frames(gpu, &camera, environment, states.len(), scene)?,
+        None => (0..states.len())
+            .into_par_iter()
+            .map(|index| {
+                let picture = scene(index).picture(&camera)?;
+                let linear = shade(&picture.frame, &camera, environment)?;
+                Ok(quantised(&picture.frame, &srgb_encode(&linear)))
+            })
+            .collect::<Result<_, AvatarError>>()?,
+    };
     let (mut colors, mut alpha) = (Vec::new(), Vec::new());
     for (frame_colors, frame_alpha) in frames {
         colors.extend(frame_colors);
@@ -91,7 +106,7 @@ fn check_modulation(avatar: &Avatar, frames: usize, options: &RenderOptions<'_>)
 }
 
 /// Straight 8-bit colours and matte of a picture composited over black (planes, sRGB-encoded).
-fn quantised(frame: &Frame, encoded: &[f32]) -> (Vec<u8>, Vec<u8>) {
+fn quantised(frame: &Frame, encoded: &[f32]) -> Pixels {
     let pixels = frame.width * frame.height;
     let mut colors = vec![0u8; 3 * pixels];
     let mut alpha = vec![0u8; pixels];

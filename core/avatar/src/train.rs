@@ -14,7 +14,7 @@ mod targets;
 use glam::{Quat, Vec3};
 use heartian_face::{HeadModel, Region, Track};
 use heartian_space::{Clip, Host, Progress};
-use heartian_splat::logit;
+use heartian_splat::{Device, Gpu, GpuFitter, logit};
 
 use crate::AvatarError;
 use crate::avatar::Avatar;
@@ -58,6 +58,8 @@ pub struct TrainOptions {
     pub refine: RefineOptions,
     /// Part of the clip at its end that is held out, 0 to 0.5.
     pub held_out: f64,
+    /// What makes the pictures, the losses and their gradients; deformation and descent are always the CPU's.
+    pub device: Device,
 }
 
 impl Default for TrainOptions {
@@ -69,6 +71,7 @@ impl Default for TrainOptions {
             expression_modes: 12,
             refine: RefineOptions::default(),
             held_out: 0.15,
+            device: Device::Cpu,
         }
     }
 }
@@ -164,6 +167,8 @@ struct Fit<'a> {
     optimiser: Optimiser,
     refiner: Refiner,
     appearance: Appearance,
+    /// What makes the pictures and their gradients, unless the CPU does.
+    fitter: Option<GpuFitter>,
     statistics: Statistics,
     training: usize,
 }
@@ -199,6 +204,7 @@ impl<'a> Fit<'a> {
             optimiser: Optimiser::new(&canonical),
             refiner: Refiner::new(&states, training, options.refine),
             appearance: Appearance::unshaded(),
+            fitter: Gpu::open(options.device)?.map(|gpu| GpuFitter::new(&gpu)).transpose()?,
             statistics: Statistics::new(canonical.len()),
             training,
             model,
@@ -250,8 +256,11 @@ impl<'a> Fit<'a> {
         let target = level.target(self.clip, frame);
         let motion = self.model.motion(&self.refiner.state(frame));
         let mut gradient = Canonical::zeros(self.canonical.len(), self.canonical.modes);
-        let (loss, picture) =
-            self.appearance.step(&self.canonical, &motion, (level, schedule.decay(step)), &target, &mut gradient)?;
+        let (canonical, at) = (&self.canonical, (level, schedule.decay(step)));
+        let (loss, picture) = match &mut self.fitter {
+            None => self.appearance.step(canonical, &motion, at, &target, &mut gradient)?,
+            Some(fitter) => self.appearance.step_on(fitter, (canonical, &motion), at, &target, &mut gradient)?,
+        };
         self.statistics.add(&picture.scene);
         if schedule.refines(step) {
             let state = self.refiner.state(frame);

@@ -1,7 +1,7 @@
 //! What a node's outputs depend on, as one canonical JSON text: the preimage of its action key.
 //!
 //! In it: kind, revision or library digest, parameters that affect the output, contents of source files and inputs,
-//! seed, the on-disk form of the outputs. Never in it: ids, graph names, paths, times, thread counts, host.
+//! seed, the on-disk form of the outputs, the device where that is not the CPU. Never in it: ids, graph names, paths, times, thread counts, host.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -52,7 +52,7 @@ impl Statement {
         let form = |port: &crate::Port| (port.name.to_owned(), json!([port.artifact.name, port.artifact.version]));
         let outputs: Map<String, Value> = node.kind.outputs.iter().map(form).collect();
         let implementation = node.kind.implementation.map(|digest| format!("\"implementation\":\"{digest}\","));
-        let after = json!({
+        let mut after = json!({
             "key": VERSION,
             "kind": node.kind.kind,
             "outputs": outputs,
@@ -61,6 +61,9 @@ impl Statement {
             "seed": seed,
             "sources": sources,
         });
+        if let (Some(numerics), Value::Object(after)) = (node.node.numerics(), &mut after) {
+            after.insert("numerics".into(), numerics.into());
+        }
         // "implementation" and "inputs" sort before all other names, so the whole is canonical too.
         Self {
             before: format!("{{{}\"inputs\":", implementation.unwrap_or_default()),

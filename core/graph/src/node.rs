@@ -44,6 +44,12 @@ pub trait Node: Params {
         Vec::new()
     }
 
+    /// What this machine decides about the bits of the outputs, such as the device that a parameter comes to here. It
+    /// enters the cache key, so that results of two devices never share one. Nothing where the node's bits are the CPU's.
+    fn numerics(&self) -> Option<String> {
+        None
+    }
+
     /// What the node needs of the machine while it runs, so that the scheduler knows what fits beside it. Must not
     /// change what it computes.
     fn resources(&self) -> Resources {

@@ -25,6 +25,10 @@ pub trait ErasedNode: Send + Sync {
     fn needs(&self) -> Vec<Need> {
         Vec::new()
     }
+    /// See [`Node::numerics`].
+    fn numerics(&self) -> Option<String> {
+        None
+    }
     /// See [`Node::resources`].
     fn resources(&self) -> Resources;
     /// All parameters, defaults written out.
@@ -51,6 +55,9 @@ impl<N: Node> ErasedNode for N {
     }
     fn needs(&self) -> Vec<Need> {
         Node::needs(self)
+    }
+    fn numerics(&self) -> Option<String> {
+        Node::numerics(self)
     }
     fn resources(&self) -> Resources {
         Node::resources(self)

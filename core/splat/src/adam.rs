@@ -75,12 +75,8 @@ impl Adam {
         expect_length("the parameters", self.first.len(), parameters.len())?;
         expect_length("the gradients", self.first.len(), gradients.len())?;
         self.steps = self.steps.saturating_add(1);
-        let AdamOptions { beta1, beta2, epsilon } = self.options;
-        let corrected = |beta: f32| 1.0 - f64::from(beta).powi(self.steps.min(1_000_000) as i32);
-        // lr·(m/c1)/(√(v/c2) + ε) = (lr·√c2/c1)·m/(√v + ε·√c2)
-        let root = corrected(beta2).sqrt();
-        let (rate, guard) =
-            ((f64::from(learning_rate) * root / corrected(beta1)) as f32, (f64::from(epsilon) * root) as f32);
+        let AdamOptions { beta1, beta2, .. } = self.options;
+        let [rate, guard] = corrected_rates(&self.options, self.steps, learning_rate);
         let scales = Scales { beta1, beta2, rate, guard };
         let chunks = parameters.par_chunks_mut(CHUNK).zip(gradients.par_chunks(CHUNK));
         let chunks = chunks.zip(self.first.par_chunks_mut(CHUNK)).zip(self.second.par_chunks_mut(CHUNK));
@@ -110,6 +106,14 @@ impl Adam {
             }
         }
     }
+}
+
+/// Learning rate and guard of step number `steps` with the bias corrections in them:
+/// `lr·(m/c1)/(√(v/c2) + ε) = (lr·√c2/c1)·m/(√v + ε·√c2)`.
+pub(crate) fn corrected_rates(options: &AdamOptions, steps: u32, learning_rate: f32) -> [f32; 2] {
+    let corrected = |beta: f32| 1.0 - f64::from(beta).powi(steps.min(1_000_000) as i32);
+    let root = corrected(options.beta2).sqrt();
+    [(f64::from(learning_rate) * root / corrected(options.beta1)) as f32, (f64::from(options.epsilon) * root) as f32]
 }
 
 /// One step's constants: decay rates, and learning rate and guard with the bias corrections in them.

@@ -6,8 +6,10 @@ use crate::error::SplatError;
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 /// What a renderer or a trainer is asked to run on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Device {
     /// A GPU when there is a real one, else the CPU.
     #[default]
@@ -44,6 +46,40 @@ impl FromStr for Device {
     fn from_str(text: &str) -> Result<Self, SplatError> {
         let found = Self::ALL.into_iter().find(|device| device.name().eq_ignore_ascii_case(text.trim()));
         found.ok_or_else(|| SplatError::Device(format!("{text:?} is no device; choose auto, cpu or gpu")))
+    }
+}
+
+/// What a machine's adapter is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AdapterReport {
+    /// As the driver names it.
+    pub name: String,
+    /// `vulkan`, `metal` or `dx12`.
+    pub backend: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// Driver and its version.
+    pub driver: String,
+    /// Largest buffer that a kernel can see at once, bytes.
+    pub largest_binding: u64,
+    /// Most workgroups along one axis of a dispatch.
+    pub workgroups: u32,
+    /// Whether it computes on the CPU.
+    pub is_software: bool,
+    /// Whether it has what the kernels need.
+    pub is_usable: bool,
+    /// Whether `auto` takes it.
+    pub is_automatic: bool,
+}
+
+impl AdapterReport {
+    /// Whether it may be taken for `device`: a software adapter only where a GPU is asked for in so many words.
+    pub fn suits(&self, device: Device) -> bool {
+        match device {
+            Device::Cpu => false,
+            Device::Auto => self.is_usable && !self.is_software,
+            Device::Gpu => self.is_usable,
+        }
     }
 }
 

@@ -11,8 +11,13 @@ mod brdf;
 mod device;
 mod environment;
 mod error;
+mod fit;
 mod gather;
 mod gaussians;
+#[cfg(feature = "gpu")]
+mod gpu;
+#[cfg(not(feature = "gpu"))]
+mod gpu_absent;
 mod harmonics;
 mod lanes;
 mod light_file;
@@ -32,11 +37,16 @@ mod tests;
 
 pub use adam::{Adam, AdamOptions};
 pub use blend_weights::{Csr, blend_weights};
-pub use device::Device;
+pub use device::{AdapterReport, Device};
 pub use environment::{Environment, RADIANCE_COEFFICIENTS};
 pub use error::SplatError;
+pub use fit::{FitStep, FitTarget};
 pub use gather::backward;
 pub use gaussians::{Activated, Gaussians, MAX_CHANNELS, RawGaussians, SceneGradients, logit, sigmoid};
+#[cfg(feature = "gpu")]
+pub use gpu::{Gpu, GpuAdam, GpuFitter, GpuPresenter, GpuRasteriser, adapters};
+#[cfg(not(feature = "gpu"))]
+pub use gpu_absent::{Gpu, GpuFitter, GpuPresenter, GpuRasteriser, adapters};
 pub use lanes::{SimdLevel, simd_level};
 pub use light_file::{LightImage, light_from_file};
 pub use loss::{Photometric, PhotometricWeights, mask_loss, mean_absolute_error, photometric, psnr};

@@ -109,15 +109,15 @@ impl Splat {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View {
     /// Rotation camera-from-world, row by row.
-    rows: [[f32; 3]; 3],
-    translation: [f32; 3],
-    focal: [f32; 2],
-    principal: [f32; 2],
+    pub rows: [[f32; 3]; 3],
+    pub translation: [f32; 3],
+    pub focal: [f32; 2],
+    pub principal: [f32; 2],
     /// Bounds on x/z and y/z inside the Jacobian.
-    low: [f32; 2],
-    high: [f32; 2],
-    near: f32,
-    low_pass: f32,
+    pub low: [f32; 2],
+    pub high: [f32; 2],
+    pub near: f32,
+    pub low_pass: f32,
 }
 
 impl View {

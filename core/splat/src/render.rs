@@ -113,13 +113,7 @@ fn kernel_channels(channels: usize) -> usize {
 /// When the scene's arrays disagree, there are too many channels, the camera is unusable, or the Gaussians cover too
 /// many tiles.
 pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) -> Result<Prepared, SplatError> {
-    gaussians.check()?;
-    check_camera(camera)?;
-    let channels = gaussians.channels + usize::from(options.depth);
-    if channels > MAX_CHANNELS {
-        return Err(SplatError::Channels { found: channels, most: MAX_CHANNELS });
-    }
-    let channels = kernel_channels(channels);
+    let channels = kernel_channels(check_scene(gaussians, camera, options)?);
     let (n, size) = (gaussians.len(), [camera.width, camera.height]);
     let (mut keys, mut records) = (vec![0u64; n], Scratch::take(n * (RECORD_HEAD + channels)));
     let (view, pairs) = (View::new(camera, options), AtomicUsize::new(0));
@@ -172,6 +166,24 @@ fn write_records(gaussians: &Gaussians, depth: bool, first: usize, splats: &[Spl
         }
         raster::write_record(splat, &features[..stride - RECORD_HEAD], record);
     }
+}
+
+/// Checks what is to be rendered; gives the number of channels, depth included.
+///
+/// # Errors
+/// When the scene's arrays disagree, there are too many channels, or the camera is unusable.
+pub(crate) fn check_scene(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    options: &RasterOptions,
+) -> Result<usize, SplatError> {
+    gaussians.check()?;
+    check_camera(camera)?;
+    let channels = gaussians.channels + usize::from(options.depth);
+    if channels > MAX_CHANNELS {
+        return Err(SplatError::Channels { found: channels, most: MAX_CHANNELS });
+    }
+    Ok(channels)
 }
 
 fn check_camera(camera: &Camera) -> Result<(), SplatError> {

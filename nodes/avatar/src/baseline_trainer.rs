@@ -2,8 +2,9 @@
 
 use heartian_avatar::{Avatar, TrainOptions, train};
 use heartian_face::Track;
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
+use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, Resources, params, register};
 use heartian_space::{Clip, Metrics};
+use heartian_splat::{Device, Gpu};
 
 use crate::hosted::Hosted;
 
@@ -19,6 +20,9 @@ params! {
         expression_modes: usize = TrainOptions::default().expression_modes, range(0.0, 64.0);
         /// Share of the clip at its end that is never trained on.
         held_out: f64 = TrainOptions::default().held_out, range(0.0, 0.5);
+        /// What makes the pictures and their gradients: the CPU, a GPU, or `Auto` for a GPU where there is a real one. What
+        /// is fitted on a GPU is cached apart.
+        device: Device = Device::Cpu, choices(&["Auto", "Cpu", "Gpu"]), unkeyed();
     }
 }
 register!(BaselineTrainer);
@@ -33,11 +37,20 @@ impl Node for BaselineTrainer {
         Port::one::<Metrics>("metrics", "avatar.*: size and fit."),
     ];
 
+    fn numerics(&self) -> Option<String> {
+        Gpu::numerics(self.device)
+    }
+
+    fn resources(&self) -> Resources {
+        Resources { gpu: self.device != Device::Cpu, ..Resources::default() }
+    }
+
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
         let (clip, track) = (inputs.get::<Clip>("clip")?, inputs.get::<Track>("track")?);
-        let Self { gaussians, steps, expression_modes, held_out } = *self;
+        let Self { gaussians, steps, expression_modes, held_out, device } = *self;
         let seed = context.seed();
-        let options = TrainOptions { gaussians, steps, seed, expression_modes, held_out, ..TrainOptions::default() };
+        let options =
+            TrainOptions { gaussians, steps, seed, expression_modes, held_out, device, ..TrainOptions::default() };
         let (avatar, report) = train(&clip, &track, &options, &mut Hosted(context))?;
         let metrics = Metrics::new()
             .with("avatar.gaussians", report.gaussians as f64)

@@ -1,9 +1,11 @@
-//! The engine's context as the host of a long computation.
+//! What nodes take from the machine: the engine's context as the host of a long computation, and a device.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
-use heartian_graph::Context;
+use heartian_graph::{Context, NodeError};
 use heartian_space::{Host, Progress};
+use heartian_splat::{Device, Gpu};
 
 /// Reports, and keeps states, under the key of the running node.
 pub(crate) struct Hosted<'a>(pub &'a Context);
@@ -20,4 +22,9 @@ impl Host for Hosted<'_> {
     fn checkpoint(&mut self, state: &mut dyn FnMut() -> Option<Vec<u8>>) {
         self.0.checkpoint(state);
     }
+}
+
+/// The device that a node's parameter asks for; nothing where that is the CPU.
+pub(crate) fn open_gpu(device: Device) -> Result<Option<Arc<Gpu>>, NodeError> {
+    Gpu::open(device).map_err(|error| NodeError::from(error).parameter("device"))
 }

@@ -4,10 +4,14 @@ use std::path::Path;
 
 use heartian_avatar::{Avatar, RenderOptions, render_clip};
 use heartian_face::Track;
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
+use heartian_graph::{
+    Context, Inputs, Node, NodeError, Outputs, ParamError, Port, Resources, SourceFile, params, register,
+};
 use heartian_space::color::luminance;
 use heartian_space::{Clip, Modulation};
-use heartian_splat::{Environment, light_from_file};
+use heartian_splat::{Device, Environment, Gpu, light_from_file};
+
+use crate::hosted::open_gpu;
 
 /// Lights that need no file, with their linear colour before it is scaled to unit luminance.
 const EVEN_LIGHTS: [(&str, [f32; 3]); 3] =
@@ -23,6 +27,8 @@ params! {
         exposure: f32 = 1.0, range(0.001, 1000.0);
         /// Turn of the light about the vertical.
         turn_degrees: f64 = 0.0, unit("°"), range(-360.0, 360.0);
+        /// What to render on: the CPU, a GPU, or `Auto` for a GPU where there is a real one.
+        device: Device = Device::Cpu, choices(&["Auto", "Cpu", "Gpu"]), unkeyed();
     }
 }
 register!(Relighter);
@@ -49,12 +55,22 @@ impl Node for Relighter {
         (!known).then(|| ParamError::new("light", message)).into_iter().collect()
     }
 
+    fn numerics(&self) -> Option<String> {
+        Gpu::numerics(self.device)
+    }
+
+    fn resources(&self) -> Resources {
+        Resources { gpu: self.device != Device::Cpu, ..Resources::default() }
+    }
+
     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
         let (avatar, track) = (inputs.get::<Avatar>("avatar")?, inputs.get::<Track>("track")?);
         let modulation = inputs.optional::<Modulation>("modulation")?;
         let environment = self.environment()?.with_mean_luminance(self.exposure).turned(self.turn_degrees.to_radians());
+        let gpu = open_gpu(self.device)?;
         let options = RenderOptions {
             label: "relit",
+            gpu: gpu.as_ref(),
             environment: Some(&environment),
             modulation: modulation.as_deref(),
             ..RenderOptions::default()

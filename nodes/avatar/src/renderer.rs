@@ -2,13 +2,19 @@
 
 use heartian_avatar::{Avatar, RenderOptions, Score, evaluate, render_clip};
 use heartian_face::Track;
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
+use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, Resources, params, register};
 use heartian_space::{Clip, Metrics, Modulation};
+use heartian_splat::{Device, Gpu};
+
+use crate::hosted::open_gpu;
 
 params! {
     /// Renders the avatar on a track under the recording's light: the unmodulated baseline and, with a modulation, the
     /// avatar that carries the pulse; scores both against the recording's held-out frames.
     pub struct Renderer {
+        /// What to render on: the CPU, a GPU, or `Auto` for a GPU where there is a real one. A GPU's frames are the CPU's
+        /// within a code or so, and are cached apart from them.
+        device: Device = Device::Cpu, choices(&["Auto", "Cpu", "Gpu"]), unkeyed();
     }
 }
 register!(Renderer);
@@ -28,11 +34,21 @@ impl Node for Renderer {
         Port::one::<Metrics>("metrics", "baseline.* and modulated.*: PSNR and SSIM over the held-out frames."),
     ];
 
+    fn numerics(&self) -> Option<String> {
+        Gpu::numerics(self.device)
+    }
+
+    fn resources(&self) -> Resources {
+        Resources { gpu: self.device != Device::Cpu, ..Resources::default() }
+    }
+
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
         let (avatar, track) = (inputs.get::<Avatar>("avatar")?, inputs.get::<Track>("track")?);
         let modulation = inputs.get::<Modulation>("modulation")?;
+        let gpu = open_gpu(self.device)?;
         let render = |label, modulation| {
-            render_clip(&avatar, &track, &RenderOptions { label, modulation, ..Default::default() })
+            let options = RenderOptions { label, modulation, gpu: gpu.as_ref(), ..Default::default() };
+            render_clip(&avatar, &track, &options)
         };
         let baseline = render("baseline_rendered", None)?;
         if context.progress(1, 2, None).is_break() {

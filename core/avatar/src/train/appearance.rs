@@ -5,8 +5,8 @@
 //! their neighbours, and a small one of the light's higher bands to zero.
 
 use heartian_splat::{
-    Adam, AdamOptions, Environment, FrameGradient, PhotometricWeights, mask_loss, photometric, shade, shade_backward,
-    srgb_encode, srgb_encode_backward,
+    Adam, AdamOptions, Environment, FitTarget, FrameGradient, GpuFitter, PhotometricWeights, mask_loss, photometric,
+    shade, shade_backward, srgb_encode, srgb_encode_backward,
 };
 
 use super::targets::{Level, Target};
@@ -75,6 +75,28 @@ impl Appearance {
     /// The light; uniform white when there is none yet.
     pub fn environment(&self) -> Environment {
         self.light.as_ref().map_or_else(|| Environment::uniform([1.0; 3]), |light| light.environment.clone())
+    }
+
+    /// [`Self::step`], but for deformation, on a device.
+    pub fn step_on(
+        &mut self,
+        fitter: &mut GpuFitter,
+        (canonical, motion): (&Canonical, &Motion),
+        (level, decay): (&Level, f32),
+        target: &Target,
+        gradient: &mut Canonical,
+    ) -> Result<(StepLoss, PictureGradient), AvatarError> {
+        let kind = if self.is_unshaded() { Features::Albedo } else { Features::Materials };
+        let scene = Scene::new(canonical, motion, &level.camera, kind);
+        let weights = PhotometricWeights::default();
+        let target = FitTarget { rgb: &target.rgb, alpha: &target.alpha, weights, mask_weight: MASK_WEIGHT };
+        let environment = self.light.as_ref().map(|light| &light.environment);
+        let made = fitter.step(&scene.gaussians(), &level.camera, environment, &target)?;
+        if let Some(light) = &mut self.light {
+            light.step(&made.radiance, decay)?;
+        }
+        let pulled = scene.backward(made.gradients, canonical, motion, gradient);
+        Ok((StepLoss { squared_error: made.squared_error }, pulled))
     }
 
     /// Renders, compares and pulls back: *adds* to `gradient` and moves the light by `decay` times its rate.

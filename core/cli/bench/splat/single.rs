@@ -54,6 +54,12 @@ pub fn run(arguments: &SplatBench, ply: &Path, camera: &Path) -> Result<(String,
     report.value("image.max_error", json!(worst));
     let mut rows = vec![["", "forward, ms min / median", "forward + backward"].map(str::to_owned).to_vec()];
     rows.push(vec!["RGB".into(), forward.text(), both.text()]);
+    if let Some([forward, both]) = rasteriser.resident(arguments.runs)? {
+        let ms = |seconds: f64| format!("{:.2} mean", 1e3 * seconds);
+        rows.push(vec!["RGB, all on the device".into(), ms(forward), ms(both)]);
+        report.value("resident.forward_ms", json!(1e3 * forward));
+        report.value("resident.forward_backward_ms", json!(1e3 * both));
+    }
     report.value("rgb.forward", forward.json());
     report.value("rgb.forward_backward", both.json());
     if arguments.device != Device::Gpu {
