@@ -55,8 +55,10 @@ mod tests {
         ControlFlow::Continue(())
     }
 
-    /// The networks and the recording's first frames, or why there are none.
-    fn frames(count: usize) -> Result<Option<(FaceNets, Vec<Rgb8Image>)>, Box<dyn Error>> {
+    type Prepared = Option<(FaceNets, Vec<Rgb8Image>)>;
+
+    /// The networks and the recording's first frames; `None` without them, having said why.
+    fn frames(count: usize) -> Result<Prepared, Box<dyn Error>> {
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/franck.mp4");
         let Ok(nets) = FaceNets::load() else {
             println!("skipped: the face models are not installed (`heartian models install`)");
