@@ -288,7 +288,7 @@ fn json(
     let methods: serde_json::Map<String, serde_json::Value> =
         all.iter().map(|measured| (measured.key.clone(), one(measured))).collect();
     let track: Vec<[f64; 2]> =
-        best.windows.iter().map(|window| [best.start_seconds + window.seconds, window.bpm]).collect();
+        best.windows.iter().map(|window| [best.start_seconds + window.middle_seconds, window.bpm]).collect();
     serde_json::json!({
         "video": arguments.video.display().to_string(),
         "hr_bpm": best.rate.bpm,

@@ -30,11 +30,7 @@ pub fn run(arguments: &PulseBenchArguments) -> Result<ExitCode> {
     let mut curve = Vec::new();
     for amplitude in &amplitudes {
         let sets: Vec<String> = amplitude.iter().map(|amplitude| format!("phase.amplitude={amplitude}")).collect();
-        let mut figures = Vec::new();
-        for (done, recording) in recordings.iter().enumerate() {
-            eprintln!("  {}/{} {} {} {}", done + 1, recordings.len(), recording.tone, recording.light, recording.pulse);
-            figures.push(cohort::figures(&session, recording, &sets)?);
-        }
+        let figures = cohort::all_figures(&session, &recordings, &sets)?;
         if figures.is_empty() {
             break;
         }
@@ -86,6 +82,9 @@ fn pooled(figures: &[Figures]) -> Pooled {
     vec![
         ("attribute.hr_mae_bpm", named("with.attribute.hr_error_bpm")),
         ("attribute.hr_mape_percent", mean(&percent)),
+        // Asked for the fundamental: the paper's reading takes the strongest bin, and of a PPG with narrow beats the second
+        // harmonic may be stronger, in the reference and in the albedo alike.
+        ("attribute.fundamental_hr_mae_bpm", named("fundamental.attribute.hr_error_bpm")),
         ("attribute.snr_db", named("with.attribute.snr_db")),
         ("attribute.waveform_pearson", named("with.attribute.waveform_pearson")),
         ("attribute.macc", named("with.attribute.macc")),
@@ -117,6 +116,8 @@ fn rows(recordings: &[Recording], figures: &[Figures]) -> Vec<Value> {
         json!({
             "skin_tone": recording.tone, "light": recording.light, "pulse": recording.pulse,
             "reference.hr_bpm": figures.get("with.reference.hr_bpm"),
+            "reference.fundamental_hr_bpm": figures.get("fundamental.reference.hr_bpm"),
+            "phase.shown_share": figures.get("phase.phase.shown_share"),
             "attribute.hr_error_bpm": figures.get("with.attribute.hr_error_bpm"),
             "attribute.waveform_pearson": figures.get("with.attribute.waveform_pearson"),
             "attribute.snr_db": figures.get("with.attribute.snr_db"),
@@ -136,6 +137,7 @@ fn recordings_table(recordings: &[Recording], figures: &[Figures]) -> String {
         "light",
         "pulse",
         "bpm",
+        "fundamental",
         "albedo Δbpm",
         "Pearson",
         "no residual",
@@ -151,6 +153,7 @@ fn recordings_table(recordings: &[Recording], figures: &[Figures]) -> String {
         let mut row = vec![recording.tone.to_owned(), recording.light.to_owned(), recording.pulse.clone()];
         for (name, decimals) in [
             ("with.reference.hr_bpm", 2),
+            ("fundamental.reference.hr_bpm", 2),
             ("with.attribute.hr_error_bpm", 2),
             ("with.attribute.waveform_pearson", 4),
             ("without.attribute.waveform_pearson", 4),
@@ -170,8 +173,9 @@ fn recordings_table(recordings: &[Recording], figures: &[Figures]) -> String {
 }
 
 /// What each pooled figure is and should be.
-const GOALS: [(&str, &str); 8] = [
+const GOALS: [(&str, &str); 9] = [
     ("attribute.hr_mae_bpm", "≤ 0.1"),
+    ("attribute.fundamental_hr_mae_bpm", "≤ 0.1"),
     ("attribute.hr_mape_percent", "≤ 0.15"),
     ("attribute.snr_db", "> 3–4 (paper)"),
     ("attribute.waveform_pearson", "≥ 0.98"),
@@ -195,9 +199,14 @@ fn pooled_text(figures: &[Figures], pooled: &Pooled) -> String {
     };
     let mut text =
         format!("{}\nresidual on less off, paired over recordings, 95 % interval\n", table(&rows, &[false, true]));
-    for (name, decimals) in [("waveform_pearson", 5), ("macc", 5), ("hr_error_bpm", 3), ("snr_db", 2)] {
+    for (name, decimals, better) in [
+        ("waveform_pearson", 5, "more is better"),
+        ("macc", 5, "more is better"),
+        ("hr_error_bpm", 3, "less is better"),
+        ("snr_db", 2, "at the reference's rate: narrow lines score, variability of beats does not"),
+    ] {
         if let Some(paired) = Paired::of(&difference(name)) {
-            text += &format!("  {name:18} {}\n", paired.show(decimals));
+            text += &format!("  {name:18} {}  {better}\n", paired.show(decimals));
         }
     }
     text.push('\n');

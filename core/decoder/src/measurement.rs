@@ -1,7 +1,7 @@
 //! From recovered waves to heart rates, each with what speaks for it.
 
-use heartian_signal::certainty::{Evidence, WindowRate, evidence, window_rates};
-use heartian_signal::{HeartRate, Protocol};
+use heartian_signal::certainty::{Evidence, evidence, window_rates};
+use heartian_signal::{HeartRate, Protocol, WindowRate};
 
 use crate::{DecoderError, Reader, Wave, keys};
 

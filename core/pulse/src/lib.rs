@@ -46,7 +46,7 @@ pub use error::PulseError;
 pub use fit::{FitReport, PhaseOptions, PhaseRates, Scene, Start, Watch, fit_phase};
 pub use frame_by_frame::{FrameByFrame, RenderFrame};
 pub use limit::{KNEE, Limited};
-pub use phase::{Anchors, Parameterization, Phase, PhaseGradient};
+pub use phase::{Anchors, Continued, Known, Parameterization, Phase, PhaseGradient};
 pub use pulse::{Pulse, Strength, modulation_from_fundamental};
 pub use reference::{Prescription, PulseFile, Reference, Rhythm};
 pub use render_loss::{BaseLoss, FrozenRenderer};

@@ -5,6 +5,7 @@
 //! keeps an error below 1e-8 rad, tested.
 
 mod anchored;
+mod forecast;
 
 pub use anchored::Anchors;
 
@@ -35,6 +36,33 @@ pub struct Phase {
     pub raw: Vec<f64>,
     /// Of `Anchored`; empty otherwise.
     pub anchors: Anchors,
+}
+
+/// What is known of the heart beyond the fitted frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Known<'a> {
+    /// Nothing.
+    Nothing,
+    /// When its beats fall (systolic peaks, seconds, increasing): a prescription, or a PPG.
+    Beats(&'a [f64]),
+    /// The pulse that the video shows, one value a later frame: its phase (radians, aligned to the fitted one) and how
+    /// far to believe it, in [0, 1].
+    Video {
+        /// Radians in [−π, π].
+        theta: &'a [f64],
+        /// In [0, 1].
+        confidence: &'a [f64],
+    },
+}
+
+/// A phase beyond the fitted frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Continued {
+    /// θ, radians in [−π, π].
+    pub theta: Vec<f64>,
+    /// How far it is expected to be off, radians: the variability of the beats since the last one known. 0 between known
+    /// beats; NaN where the parameterisation cannot tell.
+    pub spread_radians: Vec<f64>,
 }
 
 /// Gradient with respect to the fields of [`Phase`].
@@ -114,19 +142,30 @@ impl Phase {
         }
     }
 
-    /// θ at times after the fitted frames, by what each parameterisation knows there: `Cumulative` goes on at its mean
-    /// increment, `Direct` has no rule and stays at its last point, `Anchored` follows its rate model.
-    pub fn continued(&self, frame_seconds: &[f64], later_seconds: &[f64]) -> Vec<f64> {
+    /// θ at increasing times after the fitted frames. `Cumulative` goes on at its mean increment and `Direct` stays at its
+    /// last point, whatever is known: they hold nothing but frames. `Anchored` takes what is known and forecasts the rest.
+    pub fn continued(&self, frame_seconds: &[f64], later_seconds: &[f64], known: &Known<'_>) -> Continued {
         let (theta, count) = (self.theta(), frame_seconds.len());
         let last = theta.last().copied().unwrap_or(0.0);
         let end = frame_seconds.last().copied().unwrap_or(0.0);
+        let untold = |theta: Vec<f64>| Continued { spread_radians: vec![f64::NAN; theta.len()], theta };
         match self.parameterization {
-            Parameterization::Direct => vec![last; later_seconds.len()],
-            Parameterization::Anchored => later_seconds.iter().map(|&t| wrap(self.anchors.at(&self.raw, t))).collect(),
+            Parameterization::Direct => untold(vec![last; later_seconds.len()]),
             Parameterization::Cumulative => {
                 let gained: f64 = self.raw.iter().skip(1).map(|&raw| softplus(raw)).sum();
                 let span = if count > 1 { end - frame_seconds[0] } else { 1.0 };
-                later_seconds.iter().map(|&t| wrap(last + gained / span * (t - end))).collect()
+                untold(later_seconds.iter().map(|&t| wrap(last + gained / span * (t - end))).collect())
+            }
+            Parameterization::Anchored => {
+                let (mut anchors, mut raw) = (self.anchors.clone(), self.raw.clone());
+                match known {
+                    Known::Nothing => 0,
+                    Known::Beats(seconds) => anchors.extend_by_beats(&mut raw, seconds),
+                    Known::Video { theta, confidence } => {
+                        anchors.extend_by_video(&mut raw, later_seconds, theta, confidence)
+                    }
+                };
+                anchors.continued(&raw, later_seconds)
             }
         }
     }
@@ -250,7 +289,7 @@ mod tests {
         let off = |t: usize| wrap(theta[t] - unwrapped[t]).abs();
         assert!((0..990_000).filter(|&t| off(t) > 1e-8).count() <= 60);
         assert!((0..990_000).all(|t| off(t) <= PI / 4.0 + 1e-9));
-        let later = phase.continued(&times[..990_000], &times[990_000..]);
+        let later = phase.continued(&times[..990_000], &times[990_000..], &Known::Nothing).theta;
         let worst = (0..10_000).map(|k| wrap(later[k] - unwrapped[990_000 + k]).abs()).fold(0.0, f64::max);
         println!("5.6 min beyond a steady rate: {worst:.1e} rad");
         assert!(worst < 1e-6);

@@ -103,6 +103,28 @@ impl Reference {
         self.times_seconds.is_empty()
     }
 
+    /// Share of the frames between beats that the PPG plainly shows, in [0, 1]; 1 for a prescribed pulse.
+    pub fn shown_share(&self) -> f64 {
+        self.confidence.iter().filter(|&&confidence| confidence >= 1.0).count() as f64 / self.len().max(1) as f64
+    }
+
+    /// The longest stretch whose beats the PPG does not show, seconds of the clip.
+    pub fn longest_guess(&self) -> Option<[f64; 2]> {
+        let mut longest: Option<[f64; 2]> = None;
+        let mut from = None;
+        for (&time, &confidence) in self.times_seconds.iter().zip(&self.confidence) {
+            if confidence >= 1.0 {
+                from = None;
+                continue;
+            }
+            let start = *from.get_or_insert(time);
+            if longest.is_none_or(|[first, last]| time - start > last - first) {
+                longest = Some([start, time]);
+            }
+        }
+        longest
+    }
+
     /// Number of beats touched by the clip.
     pub fn beat_count(&self) -> usize {
         self.beat.last().map_or(1, |&last| last as usize + 1)
@@ -158,29 +180,20 @@ impl EvenPpg {
         Ok(Self { start_seconds: start, rate_hertz, values })
     }
 
-    /// Without drift, and with samples limited to the 5–95 % range extended by itself on both sides: a spike would
-    /// otherwise dominate the normalised target and flash on the face.
+    /// Without drift, and with what leaves the 5–95 % range extended by itself on both sides bridged by a line between its
+    /// neighbours: a spike would otherwise dominate the normalised target, shift its spectrum and flash on the face. A tall
+    /// smooth peak only loses what stands above that range.
     fn clean(&self) -> Result<Self, PulseError> {
         let detrender = Detrender::new(self.values.len(), DETREND.lambda(self.rate_hertz))?;
-        let limit = |values: &mut [f64]| {
-            let (low, high) = (quantile(values, 0.05), quantile(values, 0.95));
-            let range = high - low;
-            values.iter_mut().for_each(|value| *value = value.clamp(low - range, high + range));
-        };
         // Twice: a spike first bends the trend around itself, which the second pass undoes.
         let mut trend_free = self.values.clone();
         detrender.apply(&mut trend_free)?;
-        let mut limited = trend_free.clone();
-        limit(&mut limited);
-        let mut values: Vec<f64> = self
-            .values
-            .iter()
-            .zip(&trend_free)
-            .zip(&limited)
-            .map(|((raw, free), limited)| raw - free + limited)
-            .collect();
+        let mut bridged = trend_free.clone();
+        bridge_outliers(&mut bridged);
+        let back = |((raw, free), bridged): ((&f64, &f64), &f64)| raw - free + bridged;
+        let mut values: Vec<f64> = self.values.iter().zip(&trend_free).zip(&bridged).map(back).collect();
         detrender.apply(&mut values)?;
-        limit(&mut values);
+        bridge_outliers(&mut values);
         let centre = mean(&values);
         values.iter_mut().for_each(|value| *value -= centre);
         Ok(Self { values, ..*self })
@@ -197,5 +210,22 @@ impl EvenPpg {
         let at = ((seconds - self.start_seconds) * self.rate_hertz).clamp(0.0, last as f64);
         let (below, rest) = (at.floor() as usize, at.fract());
         self.values[below] + rest * (self.values[(below + 1).min(last)] - self.values[below])
+    }
+}
+
+/// Replaces runs beyond the extended 5–95 % range by a line from the sample before to the one after; at an end, by that
+/// neighbour.
+fn bridge_outliers(values: &mut [f64]) {
+    let (low, high) = (quantile(values, 0.05), quantile(values, 0.95));
+    let range = high - low;
+    let inside: Vec<usize> = (0..values.len()).filter(|&k| (low - range..=high + range).contains(&values[k])).collect();
+    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else { return };
+    let ends = [values[first], values[last]];
+    values[..first].fill(ends[0]);
+    values[last + 1..].fill(ends[1]);
+    for pair in inside.windows(2).filter(|pair| pair[1] > pair[0] + 1) {
+        let (from, to, gap) = (values[pair[0]], values[pair[1]], (pair[1] - pair[0]) as f64);
+        let run = &mut values[pair[0] + 1..pair[1]];
+        run.iter_mut().zip(1..).for_each(|(value, step)| *value = from + f64::from(step) / gap * (to - from));
     }
 }

@@ -10,6 +10,7 @@
 
 use crate::error::Result;
 use crate::protocol::{HeartRate, Protocol};
+use crate::reading::WindowRate;
 
 /// Windows that are read by themselves, seconds; of a shorter recording two thirds.
 const WINDOW_SECONDS: f64 = 10.0;
@@ -55,15 +56,6 @@ impl Evidence {
 /// changes in them (1,500 others: −1.66, 1.02, 3.33, 1.61).
 const FITTED: [f64; 4] = [-1.6, 1.1, 3.3, 1.8];
 
-/// The rate of one window.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WindowRate {
-    /// Middle of the window, seconds from the trace's first sample.
-    pub seconds: f64,
-    /// Its rate, bpm.
-    pub bpm: f64,
-}
-
 /// Windows of a trace that is sampled evenly, half overlapping, each read by itself. Windows that carry no rate are left
 /// out; none when the trace is too short.
 pub fn window_rates(trace: &[f64], rate_hertz: f64, protocol: &Protocol) -> Vec<WindowRate> {
@@ -78,8 +70,9 @@ pub fn window_rates(trace: &[f64], rate_hertz: f64, protocol: &Protocol) -> Vec<
         // Spread so that the last window ends with the trace.
         let spare = trace.len() - length;
         let from = if count > 1 { window * spare / (count - 1) } else { 0 };
-        let bpm = protocol.estimate(&trace[from..from + length], rate_hertz).ok()?.bpm;
-        Some(WindowRate { seconds: (from as f64 + length as f64 / 2.0) / rate_hertz, bpm })
+        let found = protocol.estimate(&trace[from..from + length], rate_hertz).ok()?;
+        let middle_seconds = (from as f64 + length as f64 / 2.0) / rate_hertz;
+        Some(WindowRate { middle_seconds, bpm: found.bpm, confidence: found.confidence() })
     };
     (0..count.max(2)).filter_map(read).collect()
 }

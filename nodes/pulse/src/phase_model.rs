@@ -96,7 +96,7 @@ const PULSE_REMEDY: &str = "give frames.ppg a CSV with the header `time_s,ppg`, 
 
 impl Node for PhaseModel {
     const KIND: &'static str = "PhaseModel";
-    const REVISION: u32 = 4;
+    const REVISION: u32 = 5;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The recording: its frame times, and its own pulse for the weak prior."),
         Port::one::<Series>("ppg", "Contact PPG on the clip's clock, at any rate.").optional(),
@@ -145,6 +145,9 @@ impl Node for PhaseModel {
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
         let (clip, skin) = (inputs.get::<Clip>("clip")?, inputs.get::<Skin>("skin")?);
         let reference = self.reference(&clip, inputs.optional::<Series>("ppg")?.as_deref(), context)?;
+        if let Some(message) = unshown_message(&reference) {
+            context.warn(&message);
+        }
         let weak = match self.window() {
             Some(window) => weak_phase(&mean_rgb(&clip, Weighting::Alpha)?, &reference, window)?,
             None => None,
@@ -165,6 +168,7 @@ impl Node for PhaseModel {
         let metrics = Metrics::new()
             .with("phase.loss_rad2", report.phase_loss)
             .with("phase.pos_loss_rad2", report.pos_loss)
+            .with("phase.shown_share", reference.shown_share())
             .with("phase.waveform_pearson", report.fundamental_pearson)
             .with("phase.levels_8bit", report.levels)
             .with("phase.bound_levels", pulse.strength.most_levels)
@@ -176,6 +180,21 @@ impl Node for PhaseModel {
             .put("pulse", pulse)
             .put("metrics", metrics))
     }
+}
+
+/// Below this share of plainly shown beats the pulse that is written is largely a guess.
+const PLAINLY_SHOWN: f64 = 0.7;
+
+/// What to say of a PPG that does not show its beats.
+fn unshown_message(reference: &Reference) -> Option<String> {
+    let (share, [from, to]) = (reference.shown_share(), reference.longest_guess()?);
+    (share < PLAINLY_SHOWN).then(|| {
+        format!(
+            "the PPG plainly shows its beats in {:.0} % of the clip, and least from {from:.1} s to {to:.1} s; what is \
+             written there is a guess. Take another stretch with frames.start_seconds, or prescribe phase.heart_rate_bpm",
+            100.0 * share
+        )
+    })
 }
 
 /// The error with the parameter of the prescription it is about.

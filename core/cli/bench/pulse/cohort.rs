@@ -1,16 +1,20 @@
 //! The cohort: 24 recordings that the product makes itself, each through the whole pipeline.
 //!
 //! Sixteen sit still, four skin tones (about Fitzpatrick III–VI) under four lights; eight move and talk, and carry the
-//! pulse waveforms of the files given, or synthetic ones with more variability.
+//! pulse waveforms of the files given, or synthetic ones with more variability. A file is read where its PPG shows a
+//! pulse: a stretch in which the sensor was off has no heart rate that anything could be compared with.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use heartian_capture::ppg::read_ppg;
-use heartian_graph::{Graph, NodeReport, Plan, Registry, Run, load};
+use heartian_graph::{Graph, NodeReport, Plan, Run, load};
+use heartian_pulse::Reference;
 use heartian_space::{Metrics, Series};
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
 
+use crate::plugins;
 use crate::session::Session;
 
 /// The pipeline of one recording.
@@ -22,6 +26,13 @@ const MOVING: usize = 8;
 /// Length of a recording, and what of a PPG is kept before and after, seconds.
 const SECONDS: f64 = 20.0;
 const MARGIN_SECONDS: f64 = 1.2;
+/// Frames a second of a recording.
+const FRAME_RATE: f64 = 30.0;
+/// Share of the frames whose beats a stretch of PPG must plainly show, and the distance of the stretches tried, seconds.
+const PLAINLY_SHOWN: f64 = 0.9;
+const STRIDE_SECONDS: f64 = 1.0;
+/// Recordings worked on at once, at most: each keeps little more than one thread busy.
+const SIDE_BY_SIDE: usize = 4;
 
 /// One recording: who, under which light, and what is set in the graph.
 pub struct Recording {
@@ -109,13 +120,34 @@ fn windows(ppg: &[PathBuf], folder: &Path) -> Result<Vec<(String, PathBuf)>> {
     for ((path, trace), (share, room)) in ppg.iter().zip(&traces).zip(shares.into_iter().zip(room)) {
         let name = path.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         for k in 0..share {
-            let from = trace.times_seconds[0] + room * (k as f64 + 0.5) / share as f64;
+            let own = [k, k + 1].map(|edge| trace.times_seconds[0] + room * edge as f64 / share as f64);
             let file = folder.join(format!("{name}-{k}.csv"));
-            std::fs::write(&file, window(trace, from)).into_diagnostic()?;
+            std::fs::write(&file, window(trace, shown_start(trace, own))).into_diagnostic()?;
             found.push((name.clone(), file));
         }
     }
     Ok(found)
+}
+
+/// Where to start within a file's own part of it: the start nearest to the middle from which the PPG plainly shows its
+/// beats, or the one from which it shows most.
+fn shown_start(trace: &Series, [first, last]: [f64; 2]) -> f64 {
+    let middle = 0.5 * (first + last);
+    let count = (0.5 * (last - first) / STRIDE_SECONDS) as i32;
+    let mut starts: Vec<f64> = (-count..=count).map(|k| middle + STRIDE_SECONDS * f64::from(k)).collect();
+    starts.sort_by(|a, b| (a - middle).abs().total_cmp(&(b - middle).abs()));
+    let mut best = (0.0, middle);
+    for start in starts {
+        let frames: Vec<f64> = (0..(SECONDS * FRAME_RATE) as usize).map(|t| start + t as f64 / FRAME_RATE).collect();
+        let shown = Reference::from_ppg(trace, &frames).map_or(0.0, |reference| reference.shown_share());
+        if shown > best.0 {
+            best = (shown, start);
+        }
+        if shown >= PLAINLY_SHOWN {
+            break;
+        }
+    }
+    best.1
 }
 
 fn window(trace: &Series, from: f64) -> String {
@@ -134,7 +166,7 @@ pub fn plan(recording: &Recording, sets: &[String], targets: &[&str]) -> Result<
     let mut graph = Graph::parse("cohort.ron", GRAPH)?;
     recording.sets.iter().chain(sets).for_each(|set| graph.set(set));
     let targets: Vec<String> = targets.iter().map(|&target| target.to_owned()).collect();
-    Ok(graph.plan(&Registry::compiled_in(), &targets)?)
+    Ok(graph.plan(plugins::registry()?, &targets)?)
 }
 
 /// Runs a plan to its end.
@@ -149,8 +181,36 @@ pub fn execute(session: &Session, plan: &Plan) -> Result<Vec<NodeReport>> {
     }
 }
 
+/// The figures of all recordings, some of them worked on at once; each is the same as alone.
+pub fn all_figures(session: &Session, recordings: &[Recording], sets: &[String]) -> Result<Vec<Figures>> {
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<Vec<(usize, Figures)>> {
+        let mut done = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let Some(recording) = recordings.get(index) else { return Ok(done) };
+            let Recording { tone, light, pulse, .. } = recording;
+            eprintln!("  {}/{} {tone} {light} {pulse}", index + 1, recordings.len());
+            // Whoever fails leaves nothing for the others to begin with.
+            let found =
+                figures(session, recording, sets).inspect_err(|_| next.store(recordings.len(), Ordering::Relaxed));
+            done.push((index, found?));
+        }
+    };
+    let workers = session.options.jobs.clamp(1, SIDE_BY_SIDE);
+    let finished: Vec<Result<Vec<(usize, Figures)>>> = std::thread::scope(|scope| {
+        let running: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
+        let panicked = |_| Err(miette!("a worker of the cohort stopped unexpectedly"));
+        running.into_iter().map(|worker| worker.join().unwrap_or_else(panicked)).collect()
+    });
+    let mut all: Vec<(usize, Figures)> =
+        finished.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    all.sort_by_key(|(index, _)| *index);
+    Ok(all.into_iter().map(|(_, figures)| figures).collect())
+}
+
 /// Runs one recording through the pipeline.
-pub fn figures(session: &Session, recording: &Recording, sets: &[String]) -> Result<Figures> {
+fn figures(session: &Session, recording: &Recording, sets: &[String]) -> Result<Figures> {
     let plan = plan(recording, sets, &[])?;
     let mut figures = BTreeMap::new();
     for report in execute(session, &plan)? {

@@ -11,7 +11,7 @@ use std::time::Instant;
 use heartian_artifact::Artifact;
 use heartian_avatar::{Avatar, FrozenRender};
 use heartian_face::Track;
-use heartian_graph::{Graph, NodeReport, Plan, Registry, load};
+use heartian_graph::{Graph, NodeReport, Plan, load};
 use heartian_pulse::reference::{WeakPhase, weak_phase};
 use heartian_pulse::{PhaseOptions, Pulse, PulseError, Reference, ResidualOptions, Scene, fit_phase, fit_residual};
 use heartian_signal::methods::PosWindow;
@@ -21,6 +21,7 @@ use miette::{IntoDiagnostic, Result, miette};
 use serde_json::{Map, Value, json};
 
 use super::cohort::execute;
+use crate::plugins;
 use crate::session::Session;
 
 /// The default recording and its avatar.
@@ -125,7 +126,7 @@ pub fn measure(session: &Session) -> Result<Timed> {
 
 fn default_plan() -> Result<Plan> {
     let graph = Graph::parse("full.ron", FULL)?;
-    Ok(graph.plan(&Registry::compiled_in(), &["skin".to_owned()])?)
+    Ok(graph.plan(plugins::registry()?, &["skin".to_owned()])?)
 }
 
 fn least_and_median(values: &[f64]) -> (f64, f64) {

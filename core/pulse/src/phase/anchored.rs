@@ -2,19 +2,18 @@
 //!
 //! An anchor is a moment and its phase: each systolic peak, and the first and last fitted frame. Between anchors phase is
 //! linear in time, as the paper's θ_gt is between peaks; each anchor carries a learnt correction of less than π/4, so
-//! phase never runs backwards. Beyond the anchors a rate model goes on: the rate of the nearest minute, over which slow
-//! and respiratory variation average out, returning to the mean of all with a time constant of a minute, integrated
-//! exactly.
+//! phase never runs backwards. Beyond the fitted frames further anchors are set by what is known there: beats that were
+//! prescribed or that a PPG shows, which leaves nothing to drift, or the pulse the video itself shows. Where nothing is
+//! known the beats go on as a forecast of their intervals (`phase/forecast.rs`), which also says how far it will be off.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
-use crate::numeric::wrap;
+use super::Continued;
+use super::forecast::Forecast;
+use crate::numeric::{mean, wrap};
 
 /// Bound on an anchor's correction, radians.
 const REACH: f64 = FRAC_PI_4;
-/// Anchors that make up the local rate, and how long it is believed, seconds.
-const LOCAL_BEATS: usize = 64;
-const BELIEVED_SECONDS: f64 = 60.0;
 /// Anchors closer than this to their neighbour are merged, seconds.
 const LEAST_GAP_SECONDS: f64 = 1e-6;
 /// Least confidence of a weak phase that may set an anchor.
@@ -84,33 +83,88 @@ impl Anchors {
         Place::Between(after - 1, (seconds - from) / (to - from))
     }
 
-    /// Mean rate over some anchors, radians a second.
-    fn rate(&self, from: usize, to: usize) -> f64 {
-        (self.phase[to] - self.phase[from]) / (self.seconds[to] - self.seconds[from])
+    /// Intervals between whole turns, seconds, in the order of time, or reversed. An anchor in the midst of a turn counts
+    /// as the part of a beat that it is.
+    fn intervals(&self, backwards: bool) -> Vec<f64> {
+        let (mut found, mut last): (Vec<f64>, Option<(f64, f64)>) = (Vec::new(), None);
+        for (&seconds, &phase) in self.seconds.iter().zip(&self.phase) {
+            let turns = phase / TAU;
+            if (turns - turns.round()).abs() > 1e-6 {
+                continue;
+            }
+            if let Some((before, turn)) = last {
+                let passed = (turns - turn).round().max(1.0);
+                // Beats that were left out share the time between those that were not.
+                found.extend((0..passed as usize).map(|_| (seconds - before) / passed));
+            }
+            last = Some((seconds, turns));
+        }
+        if backwards {
+            found.reverse();
+        }
+        if found.is_empty() && self.seconds.len() > 1 {
+            let end = self.seconds.len() - 1;
+            found.push(TAU * (self.seconds[end] - self.seconds[0]) / (self.phase[end] - self.phase[0]));
+        }
+        found
     }
 
-    /// Phase gained in `seconds` beyond the first (negative) or last anchor.
-    fn beyond(&self, seconds: f64) -> f64 {
-        let last = self.seconds.len().saturating_sub(1);
-        if last == 0 {
+    /// What is expected before the first (backwards) or after the last anchor.
+    pub(super) fn forecast(&self, backwards: bool) -> Option<Forecast> {
+        Forecast::of(&self.intervals(backwards))
+    }
+
+    /// Phase gained in `seconds` beyond the first (negative) or last anchor, by a forecast from that end.
+    fn beyond(&self, forecast: Option<&Forecast>, seconds: f64) -> f64 {
+        let (Some(forecast), Some(&first), Some(&last)) = (forecast, self.phase.first(), self.phase.last()) else {
             return 0.0;
-        }
-        let near = LOCAL_BEATS.min(last);
-        let local = if seconds < 0.0 { self.rate(0, near) } else { self.rate(last - near, last) };
-        let settled = BELIEVED_SECONDS * (1.0 - (-seconds.abs() / BELIEVED_SECONDS).exp());
-        self.rate(0, last) * seconds + (local - self.rate(0, last)) * settled.copysign(seconds)
+        };
+        // The end may lie within a beat; the forecast goes on from the beat's start as if it had been on time.
+        let passed = if seconds < 0.0 { (first / TAU).ceil() - first / TAU } else { last / TAU - (last / TAU).floor() };
+        let since = forecast.seconds_of(passed) + seconds.abs();
+        TAU * (forecast.turns_after(since) - passed).copysign(seconds)
     }
 
     /// Unwrapped phase at any moment, with the anchors' corrections from `raw`.
     pub fn at(&self, raw: &[f64], seconds: f64) -> f64 {
+        let forecast = |backwards: bool| match self.place(seconds) {
+            Place::Outside(by) if (by < 0.0) == backwards => self.forecast(backwards),
+            _ => None,
+        };
+        self.at_foreseen(raw, seconds, [forecast(true).as_ref(), forecast(false).as_ref()])
+    }
+
+    /// As [`Self::at`], with the forecasts before the first and after the last anchor.
+    pub(super) fn at_foreseen(&self, raw: &[f64], seconds: f64, forecasts: [Option<&Forecast>; 2]) -> f64 {
         if self.seconds.is_empty() {
             return 0.0;
         }
         let corrected = |k: usize| self.phase[k] + correction(raw[k]);
         match self.place(seconds) {
             Place::Between(k, share) => corrected(k) + share * (corrected(k + 1) - corrected(k)),
-            Place::Outside(by) => corrected(if by < 0.0 { 0 } else { self.seconds.len() - 1 }) + self.beyond(by),
+            Place::Outside(by) if by < 0.0 => corrected(0) + self.beyond(forecasts[0], by),
+            Place::Outside(by) => corrected(self.seconds.len() - 1) + self.beyond(forecasts[1], by),
         }
+    }
+
+    /// θ at later moments, and how far it is expected to be off.
+    pub(super) fn continued(&self, raw: &[f64], later_seconds: &[f64]) -> Continued {
+        let forecasts = [self.forecast(true), self.forecast(false)];
+        let foreseen = [forecasts[0].as_ref(), forecasts[1].as_ref()];
+        let last_turn = self.phase.last().map_or(0.0, |last| (last / TAU).floor() * TAU);
+        let of = |&seconds: &f64| {
+            let phase = self.at_foreseen(raw, seconds, foreseen);
+            let spread = match (self.place(seconds), foreseen[1]) {
+                (Place::Between(..), _) => 0.0,
+                (Place::Outside(by), Some(forecast)) if by > 0.0 => {
+                    forecast.spread_radians(((phase - last_turn) / TAU).max(0.0))
+                }
+                _ => f64::NAN,
+            };
+            (wrap(phase), spread)
+        };
+        let (theta, spread_radians) = later_seconds.iter().map(of).unzip();
+        Continued { theta, spread_radians }
     }
 
     /// θ at the frames, in [−π, π].
@@ -133,9 +187,34 @@ impl Anchors {
         pulled.iter().zip(raw).map(|(gradient, raw)| gradient * (1.0 - (raw / REACH).tanh().powi(2))).collect()
     }
 
+    /// Sets an anchor after the last one at each beat (systolic peaks, seconds, increasing): each is the turn after the one
+    /// before, however long it took, and carries the mean of the learnt corrections, so that no error can add up. Returns
+    /// how many.
+    pub fn extend_by_beats(&mut self, raw: &mut Vec<f64>, beats_seconds: &[f64]) -> usize {
+        let (before, learnt) = (self.seconds.len(), mean(raw));
+        let mut turn: Option<f64> = None;
+        for &seconds in beats_seconds {
+            if self.seconds.last().is_some_and(|&last| seconds <= last) {
+                continue;
+            }
+            // The first is the turn nearest to what is expected: the fitted frames may end just before or after a beat.
+            let next = turn.map_or_else(|| (self.at(raw, seconds) / TAU).round() * TAU, |turn| turn + TAU);
+            turn = Some(next);
+            self.push(seconds, next);
+            raw.resize(self.seconds.len(), learnt);
+        }
+        self.seconds.len() - before
+    }
+
     /// Sets anchors after the last one from a weak phase (radians, wrapped, aligned to this one) wherever it passes the
     /// middle of its range and is believed; the turn is the one nearest to what the rate model expects. Returns how many.
-    pub fn extend(&mut self, raw: &mut Vec<f64>, later_seconds: &[f64], weak: &[f64], confidence: &[f64]) -> usize {
+    pub fn extend_by_video(
+        &mut self,
+        raw: &mut Vec<f64>,
+        later_seconds: &[f64],
+        weak: &[f64],
+        confidence: &[f64],
+    ) -> usize {
         let before = self.seconds.len();
         for k in 1..later_seconds.len().min(weak.len()).min(confidence.len()) {
             let (from, step) = (wrap(weak[k - 1]), wrap(weak[k] - weak[k - 1]));
