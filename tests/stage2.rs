@@ -3,16 +3,39 @@
 
 use std::ops::ControlFlow;
 
-use heartian_avatar::{FrozenRender, OperatorOptions, SkinOptions, TrainOptions, albedo_operator, select_skin, train};
+use heartian_avatar::{
+    Avatar, FrozenRender, OperatorOptions, SkinOptions, TrainOptions, albedo_operator, select_skin, train,
+};
 use heartian_capture::synthetic::{SyntheticOptions, generate};
-use heartian_face::{HeadModel, TrackOptions, track};
+use heartian_face::{HeadModel, Track, TrackOptions, track};
 use heartian_pulse::{
     FrameByFrame, FrozenRenderer, PhaseOptions, Reference, ResidualOptions, Scene, fit_phase, fit_residual,
 };
-use heartian_space::{Modulation, Progress};
+use heartian_space::{Modulation, Progress, Skin};
 
-fn onwards(_: Progress) -> ControlFlow<()> {
+pub fn onwards(_: Progress) -> ControlFlow<()> {
     ControlFlow::Continue(())
+}
+
+/// A recording of 64², the head in it, its avatar of a thousand Gaussians, and their skin.
+pub struct Small {
+    pub recording: SyntheticRecording,
+    pub tracked: Track,
+    pub avatar: Avatar,
+    pub skin: Skin,
+}
+
+/// An avatar small enough for a test.
+pub fn small_avatar(seconds: f64) -> Small {
+    let size = 64;
+    let options = SyntheticOptions { seconds, size, motion: 0.3, ..SyntheticOptions::default() };
+    let recording = generate(&options, &mut onwards).unwrap();
+    let focal = TrackOptions { focal_px: Some(2.2 * size as f64), ..TrackOptions::default() };
+    let tracked = track(&HeadModel::procedural(), &recording.observations, &focal, &mut onwards).unwrap();
+    let small = TrainOptions { gaussians: 1000, steps: 120, ..TrainOptions::default() };
+    let (avatar, _) = train(&recording.clip, &tracked, &small, &mut onwards).unwrap();
+    let skin = select_skin(&avatar, &tracked.baked_head(), &SkinOptions::default()).unwrap();
+    Small { recording, tracked, avatar, skin }
 }
 
 /// Distance of two modulations as a share of the second's size.
@@ -24,14 +47,7 @@ fn apart(a: &Modulation, b: &Modulation) -> f64 {
 
 #[test]
 fn the_linear_map_fits_the_pulse_that_rasterising_every_step_fits() {
-    let size = 64;
-    let options = SyntheticOptions { seconds: 5.0, size, motion: 0.3, ..SyntheticOptions::default() };
-    let recording = generate(&options, &mut onwards).unwrap();
-    let focal = TrackOptions { focal_px: Some(2.2 * size as f64), ..TrackOptions::default() };
-    let tracked = track(&HeadModel::procedural(), &recording.observations, &focal, &mut onwards).unwrap();
-    let small = TrainOptions { gaussians: 1000, steps: 120, ..TrainOptions::default() };
-    let (avatar, _) = train(&recording.clip, &tracked, &small, &mut onwards).unwrap();
-    let skin = select_skin(&avatar, &tracked.baked_head(), &SkinOptions::default()).unwrap();
+    let Small { recording, avatar, skin, .. } = small_avatar(5.0);
     let operator = albedo_operator(&avatar, &skin, &recording.clip, &OperatorOptions::default(), &mut onwards).unwrap();
 
     let frozen = FrozenRender::new(&avatar, &skin, &recording.clip).unwrap();

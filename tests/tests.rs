@@ -8,6 +8,7 @@ mod house;
 mod interrupt;
 mod laws;
 mod measuring;
+mod perfusion;
 mod pipeline;
 mod plugins;
 mod results;

@@ -214,6 +214,7 @@ Examples:
   heartian bench pulse                        24 recordings, about a quarter of an hour on two cores
   heartian bench pulse --cohort 4             every sixth of them
   heartian bench pulse --ppg a.csv --ppg b.csv   the recordings with motion carry real pulse waveforms
+  heartian bench pulse --set skin.blood=Haemoglobin --no-timing   every recording with that parameter
   heartian bench pulse --json
 
 Recordings, avatars and fits are cached: a second run measures only time again.
@@ -229,6 +230,9 @@ pub struct PulseBenchArguments {
     /// of picture cost against recoverability
     #[arg(long, value_name = "SHARE")]
     pub amplitude: Vec<f64>,
+    /// Change a parameter in every recording's graph (frames, track, avatar, skin, phase, residual, render)
+    #[arg(long = "set", value_name = "NODE.PARAM=VALUE")]
+    pub sets: Vec<String>,
     /// Only the cohort: leave out the timing of stage 2 and speed against error
     #[arg(long)]
     pub no_timing: bool,

@@ -29,7 +29,8 @@ pub fn run(arguments: &PulseBenchArguments) -> Result<ExitCode> {
     let mut text = String::new();
     let mut curve = Vec::new();
     for amplitude in &amplitudes {
-        let sets: Vec<String> = amplitude.iter().map(|amplitude| format!("phase.amplitude={amplitude}")).collect();
+        let strength = amplitude.map(|amplitude| format!("phase.amplitude={amplitude}"));
+        let sets: Vec<String> = arguments.sets.iter().cloned().chain(strength).collect();
         let figures = cohort::all_figures(&session, &recordings, &sets)?;
         if figures.is_empty() {
             break;
@@ -95,7 +96,11 @@ fn pooled(figures: &[Figures]) -> Pooled {
         ("rendered.pos.toolbox_octave_errors", figures.iter().filter(|f| is_octave_error(f)).count() as f64),
         ("rendered.chrom.hr_mae_bpm", named("decode.rendered.chrom.hr_error_bpm")),
         ("rendered.omit.hr_mae_bpm", named("decode.rendered.omit.hr_error_bpm")),
+        ("rendered.green.hr_mae_bpm", named("decode.rendered.green.hr_error_bpm")),
         ("rendered.pos.snr_db", named("decode.rendered.pos.snr_db")),
+        ("rendered.chrom.snr_db", named("decode.rendered.chrom.snr_db")),
+        ("rendered.omit.snr_db", named("decode.rendered.omit.snr_db")),
+        ("rendered.green.snr_db", named("decode.rendered.green.snr_db")),
         ("baseline_rendered.pos.hr_mae_bpm", named("decode.baseline_rendered.pos.hr_error_bpm")),
         ("delta.psnr_db", mean(&|f| f.cost("psnr_db"))),
         ("delta.ssim", mean(&|f| f.cost("ssim"))),
@@ -123,6 +128,10 @@ fn rows(recordings: &[Recording], figures: &[Figures]) -> Vec<Value> {
             "attribute.snr_db": figures.get("with.attribute.snr_db"),
             "without_residual.waveform_pearson": figures.get("without.attribute.waveform_pearson"),
             "rendered.pos.hr_error_bpm": figures.get("decode.rendered.pos.hr_error_bpm"),
+            "rendered.snr_db": ["pos", "chrom", "omit", "green"]
+                .map(|method| (method, figures.get(&format!("decode.rendered.{method}.snr_db"))))
+                .into_iter()
+                .collect::<std::collections::BTreeMap<_, _>>(),
             "baseline_rendered.pos.hr_error_bpm": figures.get("decode.baseline_rendered.pos.hr_error_bpm"),
             "delta.psnr_db": figures.cost("psnr_db"), "delta.ssim": figures.cost("ssim"),
             "baseline.psnr_db": figures.get("render.baseline.psnr_db"),

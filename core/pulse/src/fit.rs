@@ -54,8 +54,10 @@ pub struct FitReport {
     pub full_pearson: Option<f64>,
     /// L_base, sRGB units; 0 without a renderer.
     pub base_loss: f64,
-    /// Peak-to-peak of the fundamental on the picture, 8-bit levels.
+    /// Peak-to-peak of the fundamental on the picture, 8-bit levels, mean over the lit skin.
     pub levels: f64,
+    /// The same at the pixel and in the frame that answer most.
+    pub most_levels: f64,
     /// Where the bound on 8-bit levels acted.
     pub limited: Limited,
 }
@@ -182,12 +184,17 @@ fn finish(
         // Albedo seen under unit irradiance.
         255.0 * f64::from(heartian_space::color::srgb_from_linear_derivative(scene.mean_green_albedo as f32))
     });
-    let most = options.most_levels / per_albedo.max(1e-9);
+    let frames = scene.renderer.and_then(|renderer| renderer.most_levels_per_albedo(reference.len()));
+    let most_levels_per_albedo = frames.unwrap_or_else(|| vec![per_albedo; reference.len()]);
     let level = if options.centred { mean(&shape) } else { 0.0 };
-    // A beat stands farther out on one side; that side, too, stays below where the bound begins to bend.
-    let farthest = shape.iter().fold(0.0f64, |most, value| most.max((value - level).abs()));
-    let unbent = 0.5 * KNEE * most * extent / farthest.max(1e-9);
-    let strength = (scale * log_scale.exp() * extent).clamp(floor, ceiling).min(most).min(unbent);
+    // How far each frame is from the level, where a beat stands farther out on one side, against where its bound begins
+    // to bend; the prescribed beat stays below everywhere.
+    let farthest = shape
+        .iter()
+        .zip(&most_levels_per_albedo)
+        .fold(0.0f64, |most, (value, levels)| most.max((value - level).abs() * levels));
+    let unbent = 0.5 * KNEE * options.most_levels * extent / farthest.max(1e-9);
+    let strength = (scale * log_scale.exp() * extent).clamp(floor, ceiling).min(unbent);
     let scale = strength / extent.max(1e-9);
     let report = FitReport {
         steps: u64::from(options.steps_for(reference.len())),
@@ -198,6 +205,7 @@ fn finish(
         full_pearson: None,
         base_loss: losses.base,
         levels: strength * per_albedo,
+        most_levels: strength * most_levels_per_albedo.iter().copied().fold(0.0, f64::max),
         limited: Limited::default(),
     };
     let pulse = Pulse {
@@ -206,6 +214,7 @@ fn finish(
         beat: reference.beat.clone(),
         fundamental: shape.iter().map(|value| scale * (value - level)).collect(),
         reference: reference.waveform.clone(),
+        most_levels_per_albedo,
         phase,
         waveform,
         strength: Strength {

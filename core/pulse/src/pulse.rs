@@ -1,6 +1,6 @@
 //! The `pulse` artifact: everything that was learnt about the heartbeat, and the values it takes at each frame.
 //!
-//! Offsets are in linear green albedo. Arrays `times_seconds`, `theta`, `beat`, `fundamental`, `reference` have one entry
+//! Offsets are in linear green albedo. Arrays `times_seconds`, `theta`, `beat`, `fundamental`, `reference`, `most_levels_per_albedo` have one entry
 //! a frame, T ≥ 1.
 
 use heartian_artifact::{Artifact, ArtifactError, ArtifactType, Bundle, BundleReader};
@@ -25,7 +25,7 @@ pub struct Strength {
     pub residual_weight: f64,
     /// 8-bit levels on the picture for one unit of albedo.
     pub levels_per_albedo: f64,
-    /// Bound on the peak-to-peak on the picture, 8-bit levels.
+    /// Bound on the peak-to-peak of the pixel that answers most, 8-bit levels.
     pub most_levels: f64,
 }
 
@@ -46,6 +46,8 @@ pub struct Pulse {
     pub phase: Phase,
     /// Learnt waveform parameters.
     pub waveform: Waveform,
+    /// 8-bit levels for one unit of albedo at the pixel that answers most, above 0: light and pose change it.
+    pub most_levels_per_albedo: Vec<f64>,
     /// Scales and bounds.
     pub strength: Strength,
     /// The residual network, once fitted.
@@ -81,9 +83,15 @@ impl Pulse {
         self.fundamental.iter().map(|value| value / scale + self.strength.level).collect()
     }
 
-    /// Half of the bound on 8-bit levels, as linear albedo: no offset is larger in magnitude.
-    pub fn most_offset(&self) -> f64 {
-        0.5 * self.strength.most_levels / self.strength.levels_per_albedo.max(1e-9)
+    /// Half of the bound on 8-bit levels at a frame, as linear albedo: no offset is larger in magnitude there, so that no
+    /// pixel moves by more.
+    pub fn most_offset(&self, frame: usize) -> f64 {
+        0.5 * self.strength.most_levels / self.most_levels_per_albedo[frame].max(1e-9)
+    }
+
+    /// The bound frame by frame.
+    pub(crate) fn limits(&self) -> Vec<Limit> {
+        (0..self.len()).map(|frame| Limit::new(self.most_offset(frame))).collect()
     }
 
     fn checked(self) -> Result<Self, PulseError> {
@@ -93,6 +101,7 @@ impl Pulse {
             ("beat", self.beat.len()),
             ("fundamental", self.fundamental.len()),
             ("reference", self.reference.len()),
+            ("most_levels_per_albedo", self.most_levels_per_albedo.len()),
             ("phase", self.phase.len()),
         ] {
             check_length(what, count, found)?;
@@ -123,12 +132,12 @@ pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<(Modula
     if count == 0 {
         return Err(PulseError::NoSkin);
     }
-    let (arrival, limit) = (Arrival::new(pulse, skin), Limit::new(pulse.most_offset()));
+    let (arrival, limits) = (Arrival::new(pulse, skin), pulse.limits());
     let mut counts = vec![0; pulse.len()];
     let mut offsets = Vec::with_capacity(count * pulse.len());
     for (frame, changed) in counts.iter_mut().enumerate() {
         for gaussian in 0..count {
-            let (offset, limited) = limit.apply(arrival.at(frame, gaussian));
+            let (offset, limited) = limits[frame].apply(arrival.at(frame, gaussian));
             offsets.push(offset);
             *changed += u64::from(limited);
         }
@@ -143,7 +152,7 @@ pub fn modulation_from_fundamental(pulse: &Pulse, skin: &Skin) -> Result<(Modula
 }
 
 impl Artifact for Pulse {
-    const TYPE: ArtifactType = ArtifactType { name: "pulse", version: 2 };
+    const TYPE: ArtifactType = ArtifactType { name: "pulse", version: 3 };
 
     fn to_bundle(&self) -> Result<Bundle<'_>, ArtifactError> {
         let count = self.len();
@@ -153,6 +162,7 @@ impl Artifact for Pulse {
             .tensor("beat", &[count], &self.beat)?
             .tensor("fundamental", &[count], &self.fundamental)?
             .tensor("reference", &[count], &self.reference)?
+            .tensor("most_levels_per_albedo", &[count], &self.most_levels_per_albedo)?
             .tensor("phase", &[self.phase.raw.len()], &self.phase.raw)?
             .tensor("anchor_seconds", &[self.phase.anchors.seconds.len()], &self.phase.anchors.seconds)?
             .tensor("anchor_phase", &[self.phase.anchors.phase.len()], &self.phase.anchors.phase)?
@@ -186,6 +196,7 @@ impl Artifact for Pulse {
             beat: reader.tensor("beat")?.1,
             fundamental: reader.tensor("fundamental")?.1,
             reference: reader.tensor("reference")?.1,
+            most_levels_per_albedo: reader.tensor("most_levels_per_albedo")?.1,
             phase: Phase { parameterization, initial, raw: reader.tensor("phase")?.1, anchors },
             waveform: reader.meta("waveform")?,
             strength: reader.meta("strength")?,

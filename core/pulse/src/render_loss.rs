@@ -20,6 +20,12 @@ pub trait FrozenRenderer {
     /// How many 8-bit levels one unit of uniform albedo offset moves the picture; `None` when it never shows the skin.
     fn levels_per_albedo(&self) -> Option<f64>;
 
+    /// How many 8-bit levels one unit of albedo offset moves the pixel that answers most, one value for each of `frames`
+    /// frames: what the bound on visible flashes is held against.
+    fn most_levels_per_albedo(&self, frames: usize) -> Option<Vec<f64>> {
+        self.levels_per_albedo().map(|levels| vec![levels; frames])
+    }
+
     /// L_base where skin Gaussian i has the offset of group `group_of[i] < groups`.
     ///
     /// # Errors
@@ -43,6 +49,10 @@ impl FrozenRenderer for AlbedoOperator {
 
     fn levels_per_albedo(&self) -> Option<f64> {
         levels_per_albedo(self)
+    }
+
+    fn most_levels_per_albedo(&self, frames: usize) -> Option<Vec<f64>> {
+        most_levels_per_albedo(self, frames)
     }
 
     fn base_loss<'a>(&'a self, group_of: &[usize], groups: usize) -> Result<Box<dyn BaseLoss + 'a>, PulseError> {
@@ -173,6 +183,32 @@ pub fn levels_per_albedo(operator: &AlbedoOperator) -> Option<f64> {
     (count > 0.0).then(|| sum / count)
 }
 
+/// Step of albedo by which the answer of a cell is taken, downward: sRGB is concave, so a darker cell answers more, and
+/// no smaller step in either direction is underestimated.
+const ANSWER_STEP: f32 = 0.02;
+
+/// How many 8-bit levels one unit of albedo offset moves the cell that answers most, frame by frame; between described
+/// frames the larger of both neighbours, so that no frame is thought calmer than it is. `None` without a lit cell.
+pub fn most_levels_per_albedo(operator: &AlbedoOperator, frames: usize) -> Option<Vec<f64>> {
+    let answer = |row: usize| {
+        let reach: f32 = operator.row(row).map(|(_, weight)| weight).sum();
+        let base = operator.base[row].max(0.0);
+        let darker = (base - reach * ANSWER_STEP).max(0.0);
+        255.0 * f64::from((srgb_from_linear(base) - srgb_from_linear(darker)) / ANSWER_STEP)
+    };
+    let described: Vec<(usize, f64)> = (0..operator.frames.len())
+        .map(|f| (operator.frames[f] as usize, operator.rows_of(f).map(answer).fold(0.0, f64::max)))
+        .filter(|(_, most)| *most > 0.0)
+        .collect();
+    let (Some(&first), Some(&last)) = (described.first(), described.last()) else { return None };
+    let of = |frame: usize| {
+        let after = described.partition_point(|(described, _)| *described < frame);
+        let (before, after) = (described.get(after.wrapping_sub(1)), described.get(after));
+        before.map_or(first.1, |b| b.1).max(after.map_or(last.1, |a| a.1))
+    };
+    Some((0..frames).map(of).collect())
+}
+
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 pub(crate) mod tests {
@@ -218,6 +254,27 @@ pub(crate) mod tests {
             let (above, exact) = (surrogate.loss(&x, 1.0, &mut [0.0; 24]), exact_l1(&operator, &x));
             assert!(above > exact - 1e-5 && above < exact + 0.01, "{above} {exact}");
         }
+    }
+
+    #[test]
+    fn the_cell_that_answers_most_answers_no_more_than_is_told() {
+        let mut operator = made_up_operator(6, 40, 8, 7);
+        operator.frames = vec![0, 2, 4, 6, 8, 10];
+        let told = most_levels_per_albedo(&operator, 14).unwrap();
+        let levels = |value: f32| 255.0 * f64::from(srgb_from_linear(value.max(0.0)));
+        for f in 0..6 {
+            let mut most = 0.0f64;
+            for (row, offset) in operator.rows_of(f).flat_map(|row| [(row, -0.015f32), (row, 0.015)]) {
+                let moved: f32 = operator.row(row).map(|(_, weight)| weight * offset).sum();
+                most = most.max((levels(operator.base[row] + moved) - levels(operator.base[row])).abs());
+            }
+            let bound = 0.015 * told[2 * f];
+            assert!(most <= bound * (1.0 + 1e-4) && (f % 2 > 0 || most > 0.5 * bound), "{f}: {most} {bound}");
+        }
+        assert!(told[1] >= told[0].min(told[2]) && told[13] == told[11], "{told:?}");
+        assert!(most_levels_per_albedo(&AlbedoOperator::default(), 3).is_none());
+        let mean = levels_per_albedo(&operator).unwrap();
+        assert!(told.iter().all(|most| *most >= mean));
     }
 
     #[test]

@@ -22,7 +22,7 @@ register!(MlpResidual);
 
 impl Node for MlpResidual {
     const KIND: &'static str = "MlpResidual";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const INPUTS: &'static [Port] = &[
         Port::one::<Pulse>("pulse", "The fitted fundamental; it stays as it is."),
         Port::one::<Skin>("skin", "The Gaussians to modulate."),

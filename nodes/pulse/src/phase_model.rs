@@ -75,7 +75,8 @@ params! {
             choices(&["Cumulative", "Direct", "Anchored"]);
         /// Peak-to-peak of the pulse, as a share of the skin's mean green albedo.
         amplitude: f64 = 0.025, range(0.0001, 0.5);
-        /// Bound on the pulse in the picture, peak to peak: spikes are folded in smoothly below it.
+        /// Bound on the pulse in the picture, peak to peak, at the pixel and in the frame that answer most: spikes are folded
+        /// in smoothly below it.
         most_levels: f64 = 6.0, unit("8-bit levels"), range(0.01, 255.0);
         /// Weak phase prior from the recording's own pulse; dropped when that pulse does not keep step with the one written.
         weak_prior: WeakPrior = WeakPrior::Global, choices(&["Global", "Sliding", "Off"]);
@@ -171,6 +172,7 @@ impl Node for PhaseModel {
             .with("phase.shown_share", reference.shown_share())
             .with("phase.waveform_pearson", report.fundamental_pearson)
             .with("phase.levels_8bit", report.levels)
+            .with("phase.most_levels_8bit", report.most_levels)
             .with("phase.bound_levels", pulse.strength.most_levels)
             .with("phase.limited_frames", limited.frames as f64)
             .with("phase.weak_prior_coherence", weak.as_ref().map_or(0.0, |weak| weak.coherence));

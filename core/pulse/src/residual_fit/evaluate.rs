@@ -10,7 +10,7 @@ use heartian_space::{Modulation, Skin};
 
 use crate::arrival::Arrival;
 use crate::error::PulseError;
-use crate::limit::{Limit, Limited};
+use crate::limit::Limited;
 use crate::numeric::Random;
 use crate::pulse::Pulse;
 use crate::residual::matrix::{Matrix, multiply};
@@ -61,7 +61,7 @@ pub fn evaluate_all(pulse: &Pulse, skin: &Skin, evaluation: &Evaluation) -> Resu
     let count = skin.gaussians.len();
     let factor = (pulse.strength.scale * pulse.strength.residual_weight) as f32;
     let centre = if pulse.strength.level == 0.0 { vec![0.0; count] } else { column_means(&table, count) };
-    let (arrival, limit) = (Arrival::new(pulse, skin), Limit::new(pulse.most_offset()));
+    let (arrival, limits) = (Arrival::new(pulse, skin), pulse.limits());
     let counts: Vec<u64> = table
         .par_chunks_mut(count)
         .enumerate()
@@ -69,7 +69,7 @@ pub fn evaluate_all(pulse: &Pulse, skin: &Skin, evaluation: &Evaluation) -> Resu
             let mut limited = 0;
             for (gaussian, (value, centre)) in row.iter_mut().zip(&centre).enumerate() {
                 let residual = arrival.strength(gaussian) * factor * (*value - centre);
-                let (offset, changed) = limit.apply(arrival.at(frame, gaussian) + residual);
+                let (offset, changed) = limits[frame].apply(arrival.at(frame, gaussian) + residual);
                 *value = offset;
                 limited += u64::from(changed);
             }

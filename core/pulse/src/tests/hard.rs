@@ -130,6 +130,42 @@ fn light_that_changes_within_a_recording_leaves_no_step_in_the_modulation() {
 }
 
 #[test]
+fn no_cell_of_any_frame_flashes_beyond_the_bound_in_rendered_levels() {
+    use heartian_space::color::srgb_from_linear;
+    let reference = Prescription::default().reference(&times(8.0, 30.0)).unwrap();
+    let mut operator = made_up_operator(240, 20, 40, 3);
+    // For four seconds the light is dim; then it is up, and the picture answers more.
+    let half = operator.rows_of(120).start;
+    let entry = operator.entry_offsets[half] as usize;
+    operator.base[..half].iter_mut().for_each(|green| *green *= 0.15);
+    operator.target[..half].iter_mut().for_each(|green| *green *= 0.15);
+    operator.weights[..entry].iter_mut().for_each(|weight| *weight *= 0.15);
+    let scene = Scene { renderer: Some(&operator), mean_green_albedo: 0.3, ..Scene::default() };
+    let options = PhaseOptions { amplitude: 0.3, most_levels: 3.0, steps: 100, ..PhaseOptions::default() };
+    let (mut pulse, report) = fit_phase(&reference, &scene, &options, &mut onwards).unwrap();
+    println!("fundamental: {:.2} levels on the mean, {:.2} at most, of 3", report.levels, report.most_levels);
+    assert!(report.most_levels <= 3.0 && report.most_levels > 1.2 * report.levels);
+    // Nearly twice what was fitted, as with a residual that runs away.
+    pulse.fundamental.iter_mut().for_each(|value| *value *= 1.8);
+    let (modulation, limited) = modulation_from_fundamental(&pulse, &skin(40)).unwrap();
+    let levels = |value: f32| 255.0 * srgb_from_linear(value.max(0.0));
+    let flash = |frame: usize| {
+        let offsets = modulation.frame(frame);
+        let moved = |row: usize| {
+            let shift: f32 = operator.row(row).map(|(column, weight)| weight * offsets[column]).sum();
+            (levels(operator.base[row] + shift) - levels(operator.base[row])).abs()
+        };
+        operator.rows_of(frame).map(moved).fold(0.0f32, f32::max)
+    };
+    let dim = (0..120).map(flash).fold(0.0f32, f32::max);
+    let bright = (120..240).map(flash).fold(0.0f32, f32::max);
+    println!("too strong: {bright:.2} levels in bright light, {dim:.2} in dim, of ±1.5; {limited:?}");
+    assert!(bright <= 1.5 && bright > 1.0 && dim <= 1.5, "{bright} {dim}");
+    // It acted where it had to: in bright light alone.
+    assert!(limited.first_frame.is_some_and(|frame| frame >= 119), "{limited:?}");
+}
+
+#[test]
 fn a_spike_in_the_supplied_pulse_stays_below_the_bound_and_is_reported() {
     let mut ppg = made_up_ppg(24.0, 100.0, |_| 72.0, 0.01);
     // A fifth of a second, fifty times as high as a beat.

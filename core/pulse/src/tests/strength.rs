@@ -34,7 +34,7 @@ fn the_bound_in_8_bit_levels_holds_for_every_offset() {
     assert!(report.levels <= 2.0 + 1e-9);
     let options = ResidualOptions { steps: 60, width: 32, ..ResidualOptions::default() };
     let (fitted, modulation) = fit_residual(&pulse, &skin(40), None, &options, &mut onwards).unwrap();
-    let most = fitted.most_offset() as f32;
+    let most = fitted.most_offset(0) as f32;
     assert!(modulation.offsets.iter().all(|offset| offset.abs() <= most));
 }
 
