@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use heartian_avatar::{
     Avatar, FrozenRender, OperatorOptions, SkinOptions, TrainOptions, albedo_operator, select_skin, train,
 };
-use heartian_capture::synthetic::{SyntheticOptions, generate};
+use heartian_capture::synthetic::{SyntheticOptions, SyntheticRecording, generate};
 use heartian_face::{HeadModel, Track, TrackOptions, track};
 use heartian_pulse::{
     FrameByFrame, FrozenRenderer, PhaseOptions, Reference, ResidualOptions, Scene, fit_phase, fit_residual,

@@ -115,6 +115,12 @@ fn is_octave_error(figures: &Figures) -> bool {
     (1.9..2.1).contains(&ratio)
 }
 
+/// SNR of each method on the modulated clip.
+fn rendered_snr(figures: &Figures) -> Map<String, Value> {
+    let of = |method: &str| json!(figures.get(&format!("decode.rendered.{method}.snr_db")));
+    ["pos", "chrom", "omit", "green"].into_iter().map(|method| (method.to_owned(), of(method))).collect()
+}
+
 /// One row a recording, for JSON.
 fn rows(recordings: &[Recording], figures: &[Figures]) -> Vec<Value> {
     let row = |(recording, figures): (&Recording, &Figures)| {
@@ -128,10 +134,7 @@ fn rows(recordings: &[Recording], figures: &[Figures]) -> Vec<Value> {
             "attribute.snr_db": figures.get("with.attribute.snr_db"),
             "without_residual.waveform_pearson": figures.get("without.attribute.waveform_pearson"),
             "rendered.pos.hr_error_bpm": figures.get("decode.rendered.pos.hr_error_bpm"),
-            "rendered.snr_db": ["pos", "chrom", "omit", "green"]
-                .map(|method| (method, figures.get(&format!("decode.rendered.{method}.snr_db"))))
-                .into_iter()
-                .collect::<std::collections::BTreeMap<_, _>>(),
+            "rendered.snr_db": rendered_snr(figures),
             "baseline_rendered.pos.hr_error_bpm": figures.get("decode.baseline_rendered.pos.hr_error_bpm"),
             "delta.psnr_db": figures.cost("psnr_db"), "delta.ssim": figures.cost("ssim"),
             "baseline.psnr_db": figures.get("render.baseline.psnr_db"),

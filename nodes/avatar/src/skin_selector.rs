@@ -31,7 +31,7 @@ params! {
         threshold: f32 = SkinOptions::default().threshold_metres, unit("m"), range(0.0001, 0.1);
         /// Least forward component of the normal: 1 is straight ahead, 0 sideways.
         facing: f32 = SkinOptions::default().least_facing, range(-1.0, 1.0);
-        /// Green alone, as in the paper, or red, green and blue in the proportions of haemoglobin.
+        /// Green alone, as in the paper, which decoders read best, or red, green and blue in the proportions of haemoglobin.
         blood: Blood = Blood::Green, choices(&["Green", "Haemoglobin"]);
         /// How strongly and when blood reaches each place: `even`, `facial` (forehead and cheeks strong, nose and chin
         /// weaker, later the farther from the jaw's arteries), or a PNG over the frontal face: red is strength (128 as

@@ -35,6 +35,10 @@ struct Variant {
 struct Row {
     label: String,
     group: &'static str,
+    epochs: u32,
+    /// Width and precision of the residual, if there is one.
+    residual: Option<(usize, &'static str)>,
+    rasterised: bool,
     seconds: f64,
     hr_error_bpm: f64,
     pearson: f64,
@@ -177,6 +181,9 @@ impl<'a> Judge<'a> {
         Ok(Row {
             label: variant.label.clone(),
             group: variant.group,
+            epochs: variant.phase.steps / EPOCH,
+            residual: variant.residual.map(|options| (options.width, precision(options.precision))),
+            rasterised: variant.rasterised,
             seconds,
             hr_error_bpm: (bpm - self.reference_bpm).abs(),
             pearson: pearson(&filtered, &self.reference).into_diagnostic()?,
@@ -194,6 +201,14 @@ fn read(times: &[f64], values: &[f64]) -> Result<(f64, Vec<f64>)> {
     Ok((rate.bpm, rate.filtered))
 }
 
+/// In what the network is trained; phase and waveform are always f64.
+fn precision(precision: Precision) -> &'static str {
+    match precision {
+        Precision::Single => "f32",
+        Precision::Double => "f64",
+    }
+}
+
 fn apart(a: &Modulation, b: &Modulation) -> f64 {
     let square = |values: &mut dyn Iterator<Item = f32>| values.map(|value| f64::from(value).powi(2)).sum::<f64>();
     let difference = square(&mut a.offsets.iter().zip(&b.offsets).map(|(a, b)| a - b));
@@ -203,7 +218,9 @@ fn apart(a: &Modulation, b: &Modulation) -> f64 {
 impl Row {
     fn json(&self) -> Value {
         json!({
-            "label": self.label, "seconds": self.seconds, "attribute.hr_error_bpm": self.hr_error_bpm,
+            "label": self.label, "epochs": self.epochs, "residual_width": self.residual.map(|(width, _)| width),
+            "precision": self.residual.map(|(_, precision)| precision), "surrogate": !self.rasterised,
+            "seconds": self.seconds, "attribute.hr_error_bpm": self.hr_error_bpm,
             "attribute.waveform_pearson": self.pearson, "delta.psnr_db": self.delta_psnr_db,
             "apart_from_linear_map": self.apart,
         })
@@ -211,11 +228,26 @@ impl Row {
 }
 
 fn text(rows: &[Row]) -> String {
-    let heading = ["speed against error", "seconds", "Δbpm", "Pearson", "ΔPSNR dB", "apart from the linear map's"];
+    let heading = [
+        "speed against error",
+        "epochs",
+        "width",
+        "network",
+        "renderer",
+        "seconds",
+        "Δbpm",
+        "Pearson",
+        "ΔPSNR dB",
+        "apart from the linear map's",
+    ];
     let mut cells = vec![heading.map(str::to_owned).to_vec()];
     for row in rows {
         cells.push(vec![
             row.label.clone(),
+            row.epochs.to_string(),
+            row.residual.map_or_else(String::new, |(width, _)| width.to_string()),
+            row.residual.map_or_else(String::new, |(_, precision)| precision.to_owned()),
+            if row.rasterised { "every step" } else { "linear map" }.to_owned(),
             format!("{:.2}", row.seconds),
             format!("{:.3}", row.hr_error_bpm),
             format!("{:.5}", row.pearson),
@@ -223,5 +255,6 @@ fn text(rows: &[Row]) -> String {
             row.apart.map_or_else(String::new, |apart| format!("{:.2} %", 100.0 * apart)),
         ]);
     }
-    format!("{}\n", table(&cells, &[false, true, true, true, true, true]))
+    let right: Vec<bool> = (0..heading.len()).map(|column| ![0, 3, 4].contains(&column)).collect();
+    format!("{}\n", table(&cells, &right))
 }

@@ -16,6 +16,8 @@ use crate::numeric::{mean, wrap};
 const REACH: f64 = FRAC_PI_4;
 /// Anchors closer than this to their neighbour are merged, seconds.
 const LEAST_GAP_SECONDS: f64 = 1e-6;
+/// Beats that one gap between anchors may stand for.
+const MOST_MISSED: f64 = 1000.0;
 /// Least confidence of a weak phase that may set an anchor.
 const LEAST_CONFIDENCE: f64 = 0.5;
 
@@ -83,8 +85,7 @@ impl Anchors {
         Place::Between(after - 1, (seconds - from) / (to - from))
     }
 
-    /// Intervals between whole turns, seconds, in the order of time, or reversed. An anchor in the midst of a turn counts
-    /// as the part of a beat that it is.
+    /// Intervals between whole turns, seconds, in the order of time, or reversed; where no two are known, the mean of all.
     fn intervals(&self, backwards: bool) -> Vec<f64> {
         let (mut found, mut last): (Vec<f64>, Option<(f64, f64)>) = (Vec::new(), None);
         for (&seconds, &phase) in self.seconds.iter().zip(&self.phase) {
@@ -93,7 +94,7 @@ impl Anchors {
                 continue;
             }
             if let Some((before, turn)) = last {
-                let passed = (turns - turn).round().max(1.0);
+                let passed = (turns - turn).round().clamp(1.0, MOST_MISSED);
                 // Beats that were left out share the time between those that were not.
                 found.extend((0..passed as usize).map(|_| (seconds - before) / passed));
             }
@@ -194,7 +195,7 @@ impl Anchors {
         let (before, learnt) = (self.seconds.len(), mean(raw));
         let mut turn: Option<f64> = None;
         for &seconds in beats_seconds {
-            if self.seconds.last().is_some_and(|&last| seconds <= last) {
+            if !self.seconds.last().is_none_or(|&last| seconds > last) {
                 continue;
             }
             // The first is the turn nearest to what is expected: the fitted frames may end just before or after a beat.
@@ -207,7 +208,7 @@ impl Anchors {
     }
 
     /// Sets anchors after the last one from a weak phase (radians, wrapped, aligned to this one) wherever it passes the
-    /// middle of its range and is believed; the turn is the one nearest to what the rate model expects. Returns how many.
+    /// middle of its range and is believed; the turn is the one nearest to what is forecast. Returns how many.
     pub fn extend_by_video(
         &mut self,
         raw: &mut Vec<f64>,

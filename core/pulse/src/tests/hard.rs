@@ -184,3 +184,38 @@ fn a_spike_in_the_supplied_pulse_stays_below_the_bound_and_is_reported() {
     assert!(limited.frames < 600 && limited.first_frame.is_none() == (limited.offsets == 0));
     assert!(off < 0.5, "{off}");
 }
+
+#[test]
+fn single_precision_is_double_precision_over_a_million_frames() {
+    use crate::Phase;
+    use crate::residual::{Residual, Shape};
+    const FRAMES: usize = 1_000_000;
+    // 72 bpm at 30 frames a second, nine hours and forty thousand beats, through the phase that accumulates.
+    let turn = std::f64::consts::TAU * 72.0 / 60.0 / 30.0;
+    let unwrapped: Vec<f64> = (0..FRAMES).map(|t| turn * t as f64).collect();
+    let theta = Phase::following(Parameterization::Cumulative, &unwrapped).theta();
+    let beat: Vec<u32> = unwrapped.iter().map(|phase| (phase / std::f64::consts::TAU + 1e-9) as u32).collect();
+    let shape = Shape { width: 16, beats: 40_001 };
+    let mut double = Residual::<f64>::new(shape, 3).unwrap();
+    let mut random = Random::new(4);
+    double.weights[shape.layout().output].iter_mut().for_each(|weight| *weight = random.normal());
+    let single: Residual<f32> = double.cast();
+    let place = [[0.3f32, -0.4, 0.1]];
+    let (mut worst, mut worst_late, mut largest) = (0.0f64, 0.0f64, 0.0f64);
+    for from in (0..FRAMES).step_by(100_000) {
+        let (theta, beat) = (&theta[from..from + 100_000], &beat[from..from + 100_000]);
+        let f32s = single.forward(&single.frames(theta, beat), &single.positions(&place));
+        let f64s = double.forward(&double.frames(theta, beat), &double.positions(&place));
+        for (a, b) in f32s.iter().zip(&f64s) {
+            worst_late = worst_late.max((f64::from(*a) - b).abs());
+            largest = largest.max(b.abs());
+        }
+        worst = worst.max(worst_late);
+        worst_late = if from + 100_000 < FRAMES { 0.0 } else { worst_late };
+    }
+    println!("1e6 frames, f32 against f64: {worst:.1e} of {largest:.2}, last tenth {worst_late:.1e}");
+    assert!(worst < 2e-5 * largest && worst_late > 0.0 && worst_late <= worst);
+    let shape = crate::Waveform::default();
+    let rounded = theta.iter().map(|&theta| shape.at(theta)).map(|value| (f64::from(value as f32) - value).abs());
+    assert!(rounded.fold(0.0, f64::max) < 1e-7);
+}

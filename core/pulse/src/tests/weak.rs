@@ -32,6 +32,15 @@ fn the_videos_own_pulse_keeps_step_and_anchors_the_phase() {
         let options = PhaseOptions { steps: 300, ..PhaseOptions::default() };
         let (_, report) = fit_phase(&reference, &scene, &options, &mut onwards).unwrap();
         assert!(report.pos_loss > 0.0 && report.phase_loss.sqrt() < 0.15, "{report:?}");
+        let (_, alone) = fit(&reference, &options).unwrap();
+        println!(
+            "phase {:.4} rad and Pearson {:.5} with the video's phase, {:.4} and {:.5} without",
+            report.phase_loss.sqrt(),
+            report.fundamental_pearson,
+            alone.phase_loss.sqrt(),
+            alone.fundamental_pearson
+        );
+        assert!((report.fundamental_pearson - alone.fundamental_pearson).abs() < 0.01);
     }
 }
 
