@@ -6,10 +6,10 @@
 //! under halogen light: 0.33 : 0.77 : 0.53. Linear albedo throughout.
 //!
 //! Truer to life, and harder to read: what moves red, green and blue alike lies nearer to the direction in which light
-//! changes, which POS, CHROM and OMIT take away. On rendered recordings of the cohort (four skin tones, four lights) with
-//! a pulse of 0.15 levels, three colours lose 2.5 dB for POS, 2.4 for CHROM and 4.2 for OMIT at the same green, which
-//! costs the picture 1.6 times as much, and 4.2, 4.0 and 5.9 dB at the same cost; no skin gains. At the default strength
-//! the pulse's own variability hides all but a few tenths. Green is the default.
+//! changes, which POS, CHROM and OMIT take away. On six rendered recordings of the cohort (four skin tones, four lights)
+//! with a pulse of 0.15 levels, three colours lose 2.7 dB for POS, 2.6 for CHROM and 3.9 for OMIT at the same green, which
+//! costs the picture 1.6 times as much, and 4.3, 4.1 and 5.2 dB at the same cost; none of the six gains. At the default
+//! strength the pulse's own variability hides all but a few tenths. Green is the default.
 
 /// Relative pulsatility of red, green and blue.
 pub const PULSATILITY: [f32; 3] = [0.33, 0.77, 0.53];
