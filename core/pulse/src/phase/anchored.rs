@@ -195,7 +195,8 @@ impl Anchors {
         let (before, learnt) = (self.seconds.len(), mean(raw));
         let mut turn: Option<f64> = None;
         for &seconds in beats_seconds {
-            if !self.seconds.last().is_none_or(|&last| seconds > last) {
+            let later = self.seconds.last().is_none_or(|&last| seconds > last);
+            if !later {
                 continue;
             }
             // The first is the turn nearest to what is expected: the fitted frames may end just before or after a beat.
