@@ -55,6 +55,14 @@ pub enum CaptureError {
         /// Number of frames looked at.
         frames: usize,
     },
+    /// A folder of masks does not fit its clip.
+    #[error("{}: {reason}; give one PNG mask a frame, of the clip's size", folder.display())]
+    Masks {
+        /// The folder.
+        folder: std::path::PathBuf,
+        /// What does not fit.
+        reason: String,
+    },
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,

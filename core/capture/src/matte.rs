@@ -4,6 +4,7 @@
 //! filter, what is not connected to the face goes, the body is cut off along a soft curve below the chin, and colours
 //! at the rim are freed of the background. All planes are `size × size`, values in [0, 1].
 
+mod clip;
 mod guided;
 mod outline;
 mod rim;
@@ -11,6 +12,7 @@ mod rim;
 use heartian_space::Rgb8Image;
 
 use crate::crop::Points;
+pub use clip::{MatteSource, matte_clip, matte_iou};
 pub(crate) use outline::keep_connected;
 
 /// What is needed beside the picture to cut a head out.

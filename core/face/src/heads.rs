@@ -1,7 +1,13 @@
 //! Where head models come from: built in, installed, or the user's own file.
 
+mod align;
 pub(crate) mod anny;
+mod flame;
+mod lids;
+mod parts;
 pub(crate) mod stored;
+#[cfg(test)]
+mod tests;
 
 use std::path::{Path, PathBuf};
 
@@ -47,8 +53,16 @@ fn from_file(path: &Path, landmarks: Option<&Path>) -> Result<HeadModel, FaceErr
     if bytes.get(8) == Some(&b'{') {
         return stored::Stored::from_bytes(&bytes).map_err(|error| wrong(error.to_string()))?.into_head();
     }
-    let _ = landmarks;
-    Err(wrong("it is no head file".into()))
+    let raw = flame::Raw::read(&bytes).map_err(wrong)?;
+    let embedding = match landmarks {
+        None => None,
+        Some(path) => {
+            let wrong = |reason: String| FaceError::HeadFile { path: path.to_owned(), reason };
+            Some(flame::Embedding::read(&read(path)?).map_err(wrong)?)
+        }
+    };
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("flame");
+    flame::head(raw, embedding, stem).map_err(wrong)
 }
 
 /// Reads a file of at most a gigabyte.

@@ -291,6 +291,14 @@ pub fn load_head() -> Result<HeadModel, ModelsError> {
     head::load(&directory()?)
 }
 
+/// Where the installed head model rests, or would.
+///
+/// # Errors
+/// When no folder can be told.
+pub fn head_path() -> Result<PathBuf, ModelsError> {
+    Ok(directory()?.join(head::FILE))
+}
+
 /// The installed iris network's bytes, checked.
 ///
 /// # Errors

@@ -8,6 +8,8 @@ mod constant;
 mod detector;
 mod flatbuffer;
 mod follow;
+#[cfg(test)]
+mod golden;
 mod interpret;
 mod matting;
 mod op;

@@ -1,9 +1,15 @@
 //! FlameTracker: a head model with FLAME's interface fitted to the landmarks of a clip.
 
 use heartian_capture::observe_clip;
-use heartian_face::{FaceError, HeadModel, Observations, Track, TrackOptions, track};
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
+use heartian_face::models::head_path;
+use heartian_face::{FaceError, HeadModel, HeadSource, Observations, Track, TrackOptions, track};
+use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, SourceFile, params, register};
 use heartian_space::{Clip, Labels, Metrics, Progress};
+
+/// The head model that needs no file.
+const PROCEDURAL: &str = "procedural";
+/// The one that was installed.
+const INSTALLED: &str = "installed";
 
 params! {
     /// Fits one head and camera, and a pose, jaw, expression and eyelids per frame, by damped Gauss–Newton. It sees landmarks
@@ -15,6 +21,12 @@ params! {
         refine_focal: bool = false;
         /// Strength of the temporal terms; 0 leaves frames independent.
         smoothness: f64 = 1.0, range(0.0, 1000.0);
+        /// `procedural` (built in), `installed` (the head of `heartian models install head`), or your FLAME 2020 or 2023 as
+        /// a .pkl or .npz file.
+        head_model: String = PROCEDURAL.to_owned();
+        /// For a FLAME file: where the face mesh's landmarks sit on it (.npz or .npy with `lmk_face_idx`, `lmk_b_coords`,
+        /// `landmark_indices`); without, they are found by aligning the built-in head.
+        head_landmarks: Option<String> = None;
         /// Key frames that decide the identity.
         key_frames: usize = 24, range(1.0, 1000.0);
     }
@@ -35,7 +47,19 @@ impl Node for FlameTracker {
         Port::one::<Labels>("labels", "track.head_model: the name of the head model that was fitted."),
     ];
 
+    fn sources(&self) -> Vec<SourceFile> {
+        let remedy = "run `heartian models install head`, or give \"procedural\" or your FLAME file (.pkl, .npz)";
+        let model = match self.head_model.as_str() {
+            PROCEDURAL => None,
+            INSTALLED => head_path().ok().map(|path| SourceFile::new("head_model", path)),
+            path => Some(SourceFile::new("head_model", path)),
+        };
+        let landmarks = self.head_landmarks.as_ref().map(|path| SourceFile::new("head_landmarks", path));
+        model.into_iter().chain(landmarks).map(|source| source.remedy(remedy)).collect()
+    }
+
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
+        let head = HeadModel::load(&self.head()).map_err(|error| NodeError::from(error).parameter("head_model"))?;
         let clip = inputs.get::<Clip>("clip")?;
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let landmarks = match inputs.optional::<Observations>("landmarks")? {
@@ -49,7 +73,7 @@ impl Node for FlameTracker {
             key_frames: self.key_frames,
             ..TrackOptions::default()
         };
-        let track = track(&HeadModel::procedural(), &landmarks, &options, watch).map_err(with_remedy)?;
+        let track = track(&head, &landmarks, &options, watch).map_err(with_remedy)?;
         let lost = track.frames.iter().filter(|frame| !frame.fitted).count();
         if lost > 0 {
             context.warn(&format!(
@@ -67,6 +91,16 @@ impl Node for FlameTracker {
             .with("track.lost_frames", lost as f64);
         let labels = Labels::of("track.head_model", &track.head.name);
         Ok(Outputs::new().put("track", track).put("metrics", metrics).put("labels", labels))
+    }
+}
+
+impl FlameTracker {
+    fn head(&self) -> HeadSource {
+        match self.head_model.as_str() {
+            PROCEDURAL => HeadSource::Procedural,
+            INSTALLED => HeadSource::Installed,
+            path => HeadSource::File { model: path.into(), landmarks: self.head_landmarks.as_ref().map(Into::into) },
+        }
     }
 }
 

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use heartian_capture::CaptureError;
 use heartian_capture::dataset::{self, Place};
 use heartian_capture::ppg::{self, ClipPpg, cover_clip, read_ppg};
 use heartian_capture::real::{RealOptions, load_real};
 use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate, generate_with_pulse};
+use heartian_capture::{CaptureError, MatteSource, matte_clip};
 use heartian_face::Observations;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
 use heartian_space::{Clip, Progress, Series};
@@ -34,6 +34,13 @@ params! {
         face: usize = 1, range(1.0, 16.0);
         /// Cut out head and neck; without, the whole crop counts.
         matte: bool = true;
+        /// Instead of the person network: a folder of PNG masks of the square clip, one a frame in natural order, white on
+        /// the person, black elsewhere.
+        masks: Option<String> = None;
+        /// Instead of the person network: the colour of a plain ground, as `#00b140`.
+        key_color: Option<String> = None;
+        /// How far from the ground's colour the person begins, as a share of that colour's saturation.
+        key_tolerance: f64 = 0.25, range(0.01, 2.0);
         /// Frame rate of the synthetic recording, and of a folder of pictures without times.
         frames_per_second: f64 = 30.0, unit("Hz"), range(1.0, 240.0);
         /// Bring uneven or dropped frames of a file to this even rate, mixing neighbours by time; without, frames keep
@@ -82,7 +89,9 @@ impl Node for FrameLoader {
         let beside = beside.map(|labels| SourceFile::new("source", labels));
         let remedy = "give a CSV file with the header `time_s,ppg`";
         let ppg = self.ppg.as_ref().map(|path| SourceFile::new("ppg", path).remedy(remedy));
-        video.into_iter().chain(beside).chain(ppg).collect()
+        let remedy = "give a folder of PNG masks, one a frame";
+        let masks = self.masks.as_ref().map(|path| SourceFile::new("masks", path).remedy(remedy));
+        video.into_iter().chain(beside).chain(ppg).chain(masks).collect()
     }
 
     fn leaves_empty(&self) -> Vec<&'static str> {
@@ -96,7 +105,10 @@ impl Node for FrameLoader {
     fn validate(&self) -> Vec<ParamError> {
         let empty = self.source.is_empty();
         let message = "is empty; give a video file, a folder of pictures, a recording of a data set, or \"synthetic\"";
-        empty.then(|| ParamError::new("source", message)).into_iter().collect()
+        let color = self.key_color.as_deref().is_some_and(|text| color(text).is_none());
+        let colored =
+            color.then(|| ParamError::new("key_color", "is no colour; write it as #rrggbb, for example #00b140"));
+        empty.then(|| ParamError::new("source", message)).into_iter().chain(colored).collect()
     }
 
     fn run(&self, _: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
@@ -154,18 +166,28 @@ impl FrameLoader {
             .put("truth", recording.truth))
     }
 
+    /// What tells person from ground when the network does not.
+    fn own_matte(&self) -> Option<MatteSource> {
+        let key = self.key_color.as_deref().and_then(color);
+        let key = key.map(|color| MatteSource::Key { color, tolerance: self.key_tolerance as f32 });
+        self.masks.as_ref().map(|folder| MatteSource::Masks(folder.into())).or(key)
+    }
+
     fn read(&self, trace: Option<Trace>, context: &Context) -> Result<Outputs, NodeError> {
         let options = RealOptions {
             start_seconds: self.start_seconds,
             seconds: self.seconds,
             size: self.size,
-            matte: self.matte,
+            matte: self.matte && self.own_matte().is_none(),
             folder_hertz: self.frames_per_second,
             resample_hertz: self.resample_hertz,
             face: self.face.saturating_sub(1),
         };
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
-        let recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
+        let mut recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
+        if let Some(source) = self.own_matte().filter(|_| self.matte) {
+            recording.clip = matte_clip(&recording.clip, &recording.observations, &source, watch).map_err(named)?;
+        }
         recording.warnings.iter().for_each(|warning| context.warn(warning));
         let ppg = trace.map(|trace| trace.over(&recording.clip)).transpose()?;
         let (contact, at_frames) = ppg.map(|ppg| (ppg.contact, ppg.at_frames)).unzip();
@@ -175,6 +197,13 @@ impl FrameLoader {
             .put_some("ppg", contact)
             .put_some("ppg_at_frames", at_frames))
     }
+}
+
+/// `#rrggbb`.
+fn color(text: &str) -> Option<[u8; 3]> {
+    let digits = text.strip_prefix('#').filter(|digits| digits.len() == 6 && digits.is_ascii())?;
+    let channel = |k: usize| u8::from_str_radix(&digits[2 * k..2 * k + 2], 16).ok();
+    Some([channel(0)?, channel(1)?, channel(2)?])
 }
 
 /// A contact PPG and the file it came from.
@@ -216,6 +245,7 @@ fn named(error: CaptureError) -> NodeError {
         CaptureError::Option { name, .. } => Some(*name),
         CaptureError::Video(_) | CaptureError::DataSet(_) | CaptureError::NoFace { .. } => Some("source"),
         CaptureError::TooLarge { .. } => Some("seconds"),
+        CaptureError::Masks { .. } => Some("masks"),
         _ => None,
     };
     let node_error = NodeError::from(error);
@@ -241,6 +271,16 @@ mod tests {
         let lines: String = (0..=(seconds * rate_hertz) as usize).map(line).collect();
         std::fs::write(&path, format!("time_s,ppg\n{lines}")).unwrap();
         path
+    }
+
+    #[test]
+    fn colours_are_read_and_rubbish_is_refused() {
+        assert_eq!(color("#00b140"), Some([0, 177, 64]));
+        for text in ["", "#", "00b140", "#00b14", "#00b1400", "#zzzzzz", "#ééé"] {
+            assert_eq!(color(text), None, "{text}");
+        }
+        let loader = FrameLoader { key_color: Some("green".to_owned()), ..Default::default() };
+        assert_eq!(loader.validate().len(), 1);
     }
 
     #[test]

@@ -37,7 +37,7 @@ const GROUPS: [&str; 6] =
 /// Cubes at the joints, in the order of [`joint`].
 const CUBES: [&str; JOINTS] = ["joint-neck", "joint-head", "joint-mouth", "joint-l-eye", "joint-r-eye"];
 /// Standard deviation of a population's difference from the mean, and of weight and age.
-const POPULATION: f64 = 0.45;
+const POPULATION: f64 = 0.30;
 
 /// Converts the wheel.
 pub fn convert<R: Read + Seek>(wheel: R) -> Result<Stored, String> {

@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 pub type Shifts = BTreeMap<u32, [f64; 3]>;
 
 /// Standard deviation of a slider with two ends, of a target without an opposite, and of one side against the other.
-const SLIDER: f64 = 0.40;
-const SINGLE: f64 = 0.25;
-const LOPSIDED: f64 = 0.10;
+const SLIDER: f64 = 0.20;
+const SINGLE: f64 = 0.12;
+const LOPSIDED: f64 = 0.05;
 /// Most modes kept, and the share of the variance they need to hold.
 const MOST_MODES: usize = 48;
 const SHARE: f64 = 0.995;
