@@ -66,6 +66,54 @@ fn the_real_clip_becomes_a_head_with_landmarks() {
     look(&recording);
 }
 
+/// Error and time of both heads on five seconds. `HEARTIAN_LOOK=folder` writes the last frame and the fitted mesh's points.
+#[test]
+#[ignore = "takes half a minute: cargo test -p heartian-capture --release -- --ignored both_heads --nocapture"]
+fn both_heads_fit_the_real_clip() {
+    use heartian_face::{HeadModel, HeadSource, TrackOptions, track};
+    let Some(path) = real_clip() else { return };
+    let options = RealOptions { seconds: 5.0, size: 256, ..RealOptions::default() };
+    let recording = load_real(&path, &options, &mut go).unwrap();
+    for source in [HeadSource::Procedural, HeadSource::Installed] {
+        let head = match HeadModel::load(&source) {
+            Ok(head) => head,
+            Err(error) => return println!("skipped: {error}"),
+        };
+        let begin = std::time::Instant::now();
+        let options = TrackOptions { focal_px: Some(2.2 * 256.0), ..TrackOptions::default() };
+        let found = track(&head, &recording.observations, &options, &mut go).unwrap();
+        let fraction = found.landmark_rms_px / found.interocular_px;
+        println!(
+            "{}: {} vertices, {} identity and {} expression modes, {} landmarks: rms {:.3} px = {:.2} % of {:.1} px, {:.1} s for {} frames",
+            head.name,
+            head.vertices.len(),
+            head.identity.count,
+            head.expression.count,
+            head.landmarks.len(),
+            found.landmark_rms_px,
+            100.0 * fraction,
+            found.interocular_px,
+            begin.elapsed().as_secs_f64(),
+            found.frames.len()
+        );
+        if let Some(folder) = std::env::var_os("HEARTIAN_LOOK") {
+            let last = found.frames.len() - 1;
+            let vertices = found.baked_head().pose(&found.frames[last]);
+            let pixels: Vec<u8> = vertices
+                .iter()
+                .filter_map(|vertex| found.camera.project(glam::Vec3::from_array(*vertex)))
+                .flat_map(|pixel| [pixel.x, pixel.y])
+                .flat_map(f32::to_le_bytes)
+                .collect();
+            let folder = Path::new(&folder);
+            std::fs::write(folder.join(format!("{}.points", head.name)), pixels).unwrap();
+            std::fs::write(folder.join("last.rgb"), recording.clip.frame(last)).unwrap();
+            std::fs::write(folder.join("last.black"), recording.clip.image_over_black(last).data).unwrap();
+        }
+        assert!(fraction < 0.03, "{}: {fraction}", head.name);
+    }
+}
+
 #[test]
 fn the_answer_is_the_same_with_one_thread() {
     let Some(path) = real_clip() else { return };
