@@ -200,3 +200,23 @@ fn devices_are_listed_and_a_graph_takes_one() {
     let refused = bench.heartian(&["check", &full, "--device", "cuda"]);
     assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("auto, cpu or gpu"));
 }
+
+/// The figures themselves are a busy machine's; that they are there, and agree with each other, is not.
+#[test]
+fn the_avatar_is_measured() {
+    let bench = Bench::new();
+    let recording = ["--seconds", "1.5", "--size", "48", "--steps", "6,12", "--gaussians", "200,300", "--sides", "32"];
+    let report: Value = bench.json(&[&["bench", "avatar", "--json"], &recording[..]].concat());
+    assert_eq!(report["fits"].as_array().map(Vec::len), Some(2), "{report}");
+    assert!(report["fits"][1]["held_out_psnr_db"].as_f64().is_some_and(|psnr| psnr > 10.0), "{report}");
+    assert_eq!(report["rendering"].as_array().map(Vec::len), Some(2));
+    assert!(report["state_bytes_per_gaussian"].as_u64().is_some_and(|bytes| (300..=2000).contains(&bytes)));
+    assert!(
+        ["avatar.json", "avatar.txt", "avatar.png"].iter().all(|name| bench
+            .0
+            .path()
+            .join("runs/bench-avatar")
+            .join(name)
+            .is_file())
+    );
+}

@@ -14,8 +14,14 @@ use std::process::Command;
 use heartian_graph::Registry;
 use serde::{Deserialize, Serialize};
 
-const TINY: [&str; 5] =
-    ["frames.seconds=3", "frames.size=64", "avatar.gaussians=1500", "avatar.steps=60", "residual.steps=20"];
+const TINY: [&str; 6] = [
+    "frames.seconds=3",
+    "frames.size=64",
+    "avatar.gaussians=1500",
+    "avatar.steps=60",
+    "residual.steps=20",
+    "turntable.seconds=0.2",
+];
 
 #[derive(Debug, Deserialize, PartialEq, Serialize)]
 struct Pinned {
@@ -39,7 +45,7 @@ struct Node {
 
 /// The nodes of the whole pipeline, and those that only the tracking graph has.
 fn run() -> BTreeMap<String, Pinned> {
-    let mut nodes = run_graph("export", &TINY);
+    let mut nodes = run_graph("turntable", &TINY);
     for (id, node) in run_graph("track", &TINY[..2]) {
         nodes.entry(id).or_insert(node);
     }

@@ -8,6 +8,7 @@ use clap::{Args, Parser, Subcommand};
 
 pub use look::{DrawArguments, ExplainArguments, StatusArguments, SweepArguments};
 
+use crate::bench::avatar::AvatarBench;
 use crate::bench::decoder::DecoderBench;
 use crate::bench::graph::GraphBench;
 use crate::bench::splat::SplatBench;
@@ -199,6 +200,8 @@ pub enum Bench {
     Graph(GraphBench),
     /// The pulse: a cohort of recordings, stage 2 against rasterising each step, and speed against error
     Pulse(PulseBenchArguments),
+    /// The avatar: quality over training seconds, what a step and a Gaussian cost, pictures a second
+    Avatar(AvatarBench),
     /// Networks and methods: seconds a chunk of each, beside rPPG-Toolbox's
     Decoder(DecoderBench),
     /// The rasteriser: milliseconds and errors of a scene of yours, or over splats, resolution and precision

@@ -152,6 +152,13 @@ impl Avatar {
         if let Some(index) = self.canonical.first_not_finite() {
             return Err(format!("Gaussian {index} has a value that is not finite"));
         }
+        let numbers =
+            self.motion.matrix.iter().chain(&self.motion.origin).chain(self.environment.radiance.iter().flatten());
+        let finite =
+            numbers.chain(self.states.iter().flat_map(|state| &state.coefficients)).all(|value| value.is_finite());
+        if !finite || !self.states.iter().flat_map(|state| state.pose).all(f64::is_finite) {
+            return Err("its motion, light or poses hold a value that is not finite".into());
+        }
         let modes = self.motion.modes();
         let ordered = self.motion.range.len() == modes && self.motion.range.iter().all(|[least, most]| least <= most);
         if self.motion.origin.len() != self.motion.width() || modes != self.canonical.modes || !ordered {

@@ -73,6 +73,14 @@ impl Canonical {
         out
     }
 
+    /// Sets every value to 0.
+    pub fn clear(&mut self) {
+        const CHUNK: usize = 64 * 1024;
+        for group in self.groups_mut() {
+            group.par_chunks_mut(CHUNK).for_each(|values| values.fill(0.0));
+        }
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.opacity_logits.len()

@@ -12,6 +12,10 @@ use crate::canonical::Canonical;
 const LEAST_PIXELS: f32 = 0.02;
 /// A Gaussian below this opacity is dropped.
 const LEAST_OPACITY: f32 = 0.02;
+/// A Gaussian larger than this, pixels, of which no frame showed this part is dropped: it hides behind others, and would
+/// float beside the head when that turns.
+const LARGE_PX: f32 = 2.0;
+const LEAST_SHOWN: f32 = 0.04;
 /// At most this part of the Gaussians is split in one round.
 const MOST_SPLIT: f32 = 0.06;
 /// Children of a split are this much smaller along the split axis, and lie half a standard deviation to either side.
@@ -48,19 +52,24 @@ impl Statistics {
     }
 }
 
-/// One round: the new Gaussians and, for each, the old one whose moments it keeps.
+/// One round: the new Gaussians and, for each, the old one it comes from, and the one whose moments it keeps.
 pub(crate) struct Round {
     pub canonical: Canonical,
+    pub parents: Vec<u32>,
     pub kept: Vec<Option<u32>>,
 }
 
 /// Prunes and splits; the result has at most `budget` Gaussians and never none if there was one worth keeping.
-pub(crate) fn control(canonical: &Canonical, statistics: &Statistics, budget: usize) -> Round {
+/// `pixels_per_metre` is the size of the head in the pictures.
+pub(crate) fn control(canonical: &Canonical, statistics: &Statistics, budget: usize, pixels_per_metre: f32) -> Round {
     let alive: Vec<u32> = (0..canonical.len() as u32)
         .filter(|&index| {
             let i = index as usize;
             let unseen = statistics.frames[i] > 0 && statistics.most_pixels[i] < LEAST_PIXELS;
-            !unseen && statistics.frames[i] > 0 && canonical.opacity(i) >= LEAST_OPACITY
+            !unseen
+                && !is_hidden(canonical, statistics, i, pixels_per_metre)
+                && statistics.frames[i] > 0
+                && canonical.opacity(i) >= LEAST_OPACITY
         })
         .collect();
     let room = budget.saturating_sub(alive.len()).min((MOST_SPLIT * alive.len() as f32) as usize);
@@ -69,14 +78,23 @@ pub(crate) fn control(canonical: &Canonical, statistics: &Statistics, budget: us
     by_pull.truncate(room);
     let mut next = canonical.gather(&alive);
     let mut kept: Vec<Option<u32>> = alive.iter().map(|&index| Some(index)).collect();
+    let mut parents = alive.clone();
     for parent in by_pull {
         let Ok(row) = alive.binary_search(&parent) else { continue };
         let child = split(&mut next, row);
         append(&mut next, &child);
         kept[row] = None;
         kept.push(None);
+        parents.push(parent);
     }
-    Round { canonical: next, kept }
+    Round { canonical: next, parents, kept }
+}
+
+/// Whether a large Gaussian never showed more than a small part of itself.
+fn is_hidden(canonical: &Canonical, statistics: &Statistics, index: usize, pixels_per_metre: f32) -> bool {
+    let [a, b] = [0, 1].map(|axis| canonical.log_scales[3 * index + axis].exp() * pixels_per_metre);
+    let whole = std::f32::consts::TAU * a * b * canonical.opacity(index);
+    a.max(b) > LARGE_PX && statistics.most_pixels[index] < LEAST_SHOWN * whole
 }
 
 /// Shrinks the Gaussian at `row` and moves it half a deviation along its longer tangent axis; returns its twin on the
@@ -146,7 +164,7 @@ mod tests {
         let mut pixels = vec![1.0; 40];
         pixels[5] = 0.0;
         pixels[6] = 1e-4;
-        let round = control(&canonical, &seen(&pull, &pixels), 39);
+        let round = control(&canonical, &seen(&pull, &pixels), 39, 500.0);
         assert!(round.canonical.is_consistent() && round.canonical.first_not_finite().is_none());
         for gone in [3, 5, 6, 9] {
             assert!(!round.kept.contains(&Some(gone)), "{gone}");
@@ -162,10 +180,24 @@ mod tests {
     }
 
     #[test]
+    fn a_large_one_that_hides_behind_others_goes() {
+        let mut canonical = scene(10);
+        // 3 mm are 3 pixels of standard deviation here: 50 pixels in all at this opacity.
+        canonical.log_scales[3 * 4] = 0.003f32.ln();
+        canonical.log_scales[3 * 4 + 1] = 0.003f32.ln();
+        let gone = |pixels: f32| {
+            let mut seen_of = [1.0; 10];
+            seen_of[4] = pixels;
+            !control(&canonical, &seen(&[0.1; 10], &seen_of), 10, 1000.0).kept.contains(&Some(4))
+        };
+        assert!(gone(1.5) && !gone(10.0));
+    }
+
+    #[test]
     fn the_budget_holds() {
         let canonical = scene(100);
         for budget in [0, 50, 100, 103, 1000] {
-            let round = control(&canonical, &seen(&[1.0; 100], &[1.0; 100]), budget);
+            let round = control(&canonical, &seen(&[1.0; 100], &[1.0; 100]), budget, 500.0);
             assert!(round.canonical.len() <= budget.max(100));
         }
     }

@@ -24,8 +24,8 @@ const CHUNK: usize = 16 * 1024;
 const RANGES: [(f32, f32); GROUPS] = [
     // Positions, metres in head space.
     (-1.5, 1.5),
-    // Log-scales: 0.05 mm to 30 mm.
-    (-9.9, -3.5),
+    // Log-scales: 0.05 mm to 12 mm.
+    (-9.9, -4.4),
     // Quaternions: any scale of order 1.
     (-8.0, 8.0),
     // Opacity logits.

@@ -3,19 +3,18 @@
 //! Every training frame has an offset to its tracked numbers (pose, then motion coefficients), moved by Adam on the
 //! picture's gradient. After each visit the refined number is drawn a little toward the cubic through its four
 //! neighbours, so steady motion is untouched and jitter is not: what is left of it would compete with the pulse.
-//! Frames outside training get the tracked pose plus one global affine correction fitted (ridge) to the training
-//! offsets; their pictures are never used.
+//! Frames outside training get the tracked pose plus what the training offsets say about it (`refine/correct.rs`); their
+//! pictures are never used.
 
-use crate::linear::solve;
+mod correct;
+
+use correct::predicted_offsets;
+
 use crate::motion::FrameState;
 use crate::rig::POSE_SIZE;
 
 /// Exponential forgetting of Adam's moments; frames are visited a few tens of times only.
 const BETA: [f64; 2] = [0.8, 0.95];
-/// Ridge added to the normal equations of the global correction, per frame, in units of the drivers' variance.
-const RIDGE: f64 = 0.3;
-/// Drivers of the global correction: rotation, translation and the jaw's opening.
-const DRIVERS: [usize; 7] = [0, 1, 2, 3, 4, 5, 9];
 
 /// How far and how smoothly poses may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,61 +146,16 @@ impl Refiner {
         }
     }
 
-    /// States of every frame of the clip: refined ones, and tracked ones with the global correction.
+    /// States of every frame of the clip: refined ones, and tracked ones with the offsets that those predict.
     pub fn all_states(&self) -> Vec<FrameState> {
-        let correction = self.global_correction();
-        (0..self.tracked.len())
-            .map(|t| {
-                if t < self.offsets.len() {
-                    return self.state(t);
-                }
-                let drivers = drivers(&self.tracked[t]);
-                let offset = |index: usize| -> f64 { correction[index].iter().zip(&drivers).map(|(c, d)| c * d).sum() };
-                state(self.tracked[t].iter().enumerate().map(|(index, value)| value + offset(index)))
-            })
+        let predicted = predicted_offsets(&self.tracked, &self.offsets);
+        let offsets = self.offsets.iter().chain(&predicted);
+        self.tracked
+            .iter()
+            .zip(offsets)
+            .map(|(row, offsets)| state(row.iter().zip(offsets).map(|(a, b)| a + b)))
             .collect()
     }
-
-    /// Ridge regression of every offset on the drivers: `D × 8` coefficients.
-    fn global_correction(&self) -> Vec<Vec<f64>> {
-        const N: usize = DRIVERS.len() + 1;
-        let count = self.offsets.len();
-        let width = self.tracked.first().map_or(0, Vec::len);
-        let rows: Vec<Vec<f64>> = self.tracked[..count].iter().map(|t| drivers(t)).collect();
-        let mean: Vec<f64> = (0..N).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / count.max(1) as f64).collect();
-        let mut covariance = [[0.0; N]; N];
-        let mut cross = vec![[0.0; N]; width];
-        let mut offset_mean = vec![0.0; width];
-        for (row, offsets) in rows.iter().zip(&self.offsets) {
-            for (index, offset) in offsets.iter().enumerate() {
-                offset_mean[index] += offset / count as f64;
-                for k in 1..N {
-                    cross[index][k] += offset * (row[k] - mean[k]) / count as f64;
-                }
-            }
-            for i in 1..N {
-                for j in 1..N {
-                    covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count as f64;
-                }
-            }
-        }
-        covariance[0][0] = 1.0;
-        for (k, row) in covariance.iter_mut().enumerate().skip(1) {
-            row[k] += RIDGE * row[k] + 1e-12;
-        }
-        (0..width)
-            .map(|index| {
-                let mut solved = solve(covariance, cross[index]);
-                solved[0] = offset_mean[index] - (1..N).map(|k| solved[k] * mean[k]).sum::<f64>();
-                solved.to_vec()
-            })
-            .collect()
-    }
-}
-
-/// One, then the driving numbers of a tracked frame.
-fn drivers(tracked: &[f64]) -> Vec<f64> {
-    std::iter::once(1.0).chain(DRIVERS.iter().map(|&index| tracked[index])).collect()
 }
 
 #[cfg(test)]

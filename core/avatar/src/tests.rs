@@ -1,5 +1,8 @@
 //! The fit as a whole, on the ball: quality, determinism, what is refused, and what a render and its linear map promise.
 
+mod poison;
+mod shown;
+
 use std::ops::ControlFlow;
 
 use heartian_artifact::{Artifact, ArtifactError, BundleReader};

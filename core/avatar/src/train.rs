@@ -10,18 +10,20 @@ mod appearance;
 mod checkpoint;
 mod schedule;
 mod targets;
+mod views;
 
 use glam::{Quat, Vec3};
-use heartian_face::{HeadModel, Region, Track};
+use heartian_face::{HeadModel, Track};
 use heartian_space::{Clip, Host, Progress};
 use heartian_splat::{Device, Gpu, GpuFitter, logit};
 
 use crate::AvatarError;
 use crate::avatar::Avatar;
 use crate::canonical::Canonical;
+use crate::coherent::{Neighbours, hold_flat};
 use crate::color::observed_colors;
 use crate::deform::deform;
-use crate::density::{Statistics, control};
+use crate::density::{Round, Statistics, control};
 use crate::evaluate::{Score, evaluate_states};
 use crate::initialise::Scaffold;
 use crate::light::{LightSample, fit_light, irradiance};
@@ -32,12 +34,13 @@ use crate::surface::MeshView;
 use appearance::{Appearance, StepLoss};
 use checkpoint::Course;
 use schedule::{FrameOrder, Schedule};
-use targets::Level;
+pub(crate) use targets::Level;
+use views::{skin_like, views};
 
 /// Fewest training frames worth fitting.
 const FEWEST_FRAMES: usize = 4;
-/// Frames looked at when the Gaussians are laid out.
-const VIEWS: usize = 24;
+/// Steps from one smoothing over neighbours to the next.
+const SMOOTH_EVERY: u32 = 10;
 /// Forgetting of the live figure.
 const LIVE: f64 = 0.98;
 /// The fit may stop early when the live figure gains less than this in a twentieth of the steps, decibels.
@@ -83,8 +86,10 @@ pub struct TrainReport {
     pub steps: u32,
     /// Gaussians of the avatar.
     pub gaussians: usize,
-    /// Motion coefficients of the avatar.
+    /// Motion coefficients of the avatar: those that the training frames excite.
     pub modes: usize,
+    /// Tracked numbers that could have moved it.
+    pub drivers: usize,
     /// Peak signal-to-noise ratio and structural similarity over the held-out frames; `None` when none is held out.
     pub held_out: Option<Score>,
     /// The same over up to twenty training frames.
@@ -115,6 +120,7 @@ pub fn train(
         steps,
         gaussians: avatar.len(),
         modes: avatar.canonical.modes,
+        drivers: avatar.motion.width(),
         held_out: (!held_out.is_empty()).then(|| evaluate_states(&avatar, clip, &held_out)).transpose()?,
         training: evaluate_states(&avatar, clip, &some)?,
         history,
@@ -170,6 +176,12 @@ struct Fit<'a> {
     /// What makes the pictures and their gradients, unless the CPU does.
     fitter: Option<GpuFitter>,
     statistics: Statistics,
+    /// Of the present Gaussians.
+    neighbours: Neighbours,
+    /// `N×3`: where they were laid out, from which displacements are counted.
+    rest: Vec<f32>,
+    /// Of one step; kept, because clearing it is cheaper than asking for fresh memory.
+    gradient: Canonical,
     training: usize,
 }
 
@@ -206,6 +218,9 @@ impl<'a> Fit<'a> {
             appearance: Appearance::unshaded(),
             fitter: Gpu::open(options.device)?.map(|gpu| GpuFitter::new(&gpu)).transpose()?,
             statistics: Statistics::new(canonical.len()),
+            neighbours: Neighbours::new(&canonical),
+            rest: canonical.positions.clone(),
+            gradient: Canonical::zeros(canonical.len(), canonical.modes),
             training,
             model,
             canonical,
@@ -255,11 +270,11 @@ impl<'a> Fit<'a> {
     fn step(&mut self, schedule: &Schedule, step: u32, frame: usize, level: &Level) -> Result<StepLoss, AvatarError> {
         let target = level.target(self.clip, frame);
         let motion = self.model.motion(&self.refiner.state(frame));
-        let mut gradient = Canonical::zeros(self.canonical.len(), self.canonical.modes);
-        let (canonical, at) = (&self.canonical, (level, schedule.decay(step)));
+        self.gradient.clear();
+        let (canonical, gradient, at) = (&self.canonical, &mut self.gradient, (level, schedule.decay(step)));
         let (loss, picture) = match &mut self.fitter {
-            None => self.appearance.step(canonical, &motion, at, &target, &mut gradient)?,
-            Some(fitter) => self.appearance.step_on(fitter, (canonical, &motion), at, &target, &mut gradient)?,
+            None => self.appearance.step(canonical, &motion, at, &target, gradient)?,
+            Some(fitter) => self.appearance.step_on(fitter, (canonical, &motion), at, &target, gradient)?,
         };
         self.statistics.add(&picture.scene);
         if schedule.refines(step) {
@@ -268,15 +283,30 @@ impl<'a> Fit<'a> {
             let all = pose.into_iter().chain(picture.motion.coefficients.iter().copied());
             self.refiner.step(frame, all, f64::from(schedule.decay(step)));
         }
-        self.optimiser.step(&mut self.canonical, &gradient, &schedule.rates(step))?;
+        self.optimiser.step(&mut self.canonical, &self.gradient, &schedule.rates(step))?;
+        if (step + 1).is_multiple_of(SMOOTH_EVERY) {
+            self.neighbours.smooth(&mut self.canonical, &self.rest, schedule.decay(step));
+            hold_flat(&mut self.canonical);
+        }
         Ok(loss)
     }
 
     fn control_density(&mut self) {
-        let round = control(&self.canonical, &self.statistics, self.options.gaussians);
+        let round = control(&self.canonical, &self.statistics, self.options.gaussians, self.pixels_per_metre());
         self.optimiser.regroup(&round.kept, round.canonical.widths());
+        self.rest = rest_of(&round, &self.canonical.positions, &self.rest);
         self.canonical = round.canonical;
         self.statistics = Statistics::new(self.canonical.len());
+        self.gradient = Canonical::zeros(self.canonical.len(), self.canonical.modes);
+        self.neighbours = Neighbours::new(&self.canonical);
+    }
+
+    /// Size in the picture of what lies where the head does, in the middle training frame.
+    fn pixels_per_metre(&self) -> f32 {
+        let pose = self.refiner.state(self.training / 2).pose;
+        let head = Vec3::new(pose[3] as f32, pose[4] as f32, pose[5] as f32);
+        let camera = &self.track.camera;
+        camera.focal_px[0] / camera.camera_from_world_point(head).z.max(0.01)
     }
 
     /// Guesses the light from the skin's colours and divides it out of all colours.
@@ -326,34 +356,14 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Evenly spread training frames, and those in which the jaw is widest open and the head turned farthest.
-fn views(track: &Track, training: usize) -> Vec<usize> {
-    let mut frames: Vec<usize> = (0..VIEWS.min(training)).map(|i| i * training / VIEWS.min(training)).collect();
-    let extreme = |value: &dyn Fn(usize) -> f32| (0..training).max_by(|&a, &b| value(a).total_cmp(&value(b)));
-    let pose = |frame: usize| &track.frames[frame];
-    frames.extend(extreme(&|frame| pose(frame).jaw[0]));
-    frames.extend(extreme(&|frame| pose(frame).rotation[1]));
-    frames.extend(extreme(&|frame| -pose(frame).rotation[1]));
-    frames.sort_unstable();
-    frames.dedup();
-    frames
-}
-
-/// Gaussians whose nearest vertex of the mesh is skin, closer than a centimetre.
-fn skin_like(head: &HeadModel, canonical: &Canonical) -> Vec<usize> {
-    let vertices: Vec<(Vec3, bool)> = head
-        .vertices
-        .iter()
-        .zip(&head.regions)
-        .map(|(vertex, region)| (Vec3::from_array(*vertex), *region == Region::Skin))
-        .collect();
-    let is_skin = |index: &usize| {
-        let here = Vec3::from_array(canonical.position(*index));
-        let nearest = vertices.iter().min_by(|a, b| a.0.distance_squared(here).total_cmp(&b.0.distance_squared(here)));
-        nearest.is_some_and(|(vertex, skin)| *skin && vertex.distance(here) < 0.01)
-    };
-    // A thousand or two samples are plenty for nine coefficients.
-    (0..canonical.len()).step_by(canonical.len().div_ceil(4000).max(1)).filter(is_skin).collect()
+/// Places of rest after a round: a child's is its parent's, moved as the split moved it.
+fn rest_of(round: &Round, before: &[f32], rest: &[f32]) -> Vec<f32> {
+    let now = round.canonical.positions.chunks_exact(3).zip(&round.parents);
+    now.flat_map(|(now, &parent)| {
+        let old = 3 * parent as usize;
+        (0..3).map(move |k| rest[old + k] + now[k] - before[old + k])
+    })
+    .collect()
 }
 
 /// Whether the live figure gained too little over the last twentieth of the plan.

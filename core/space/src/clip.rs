@@ -2,6 +2,8 @@
 //!
 //! Always holds: `frames.len() = T·H·W·3`, `alpha.len() = T·H·W`, times are finite and strictly increasing, T ≥ 1.
 
+mod beside;
+
 use heartian_artifact::{Artifact, ArtifactError, ArtifactType, Bundle, BundleReader};
 
 use crate::{Rgb8Image, SpaceError};

@@ -50,7 +50,7 @@ pub use gpu_absent::{Gpu, GpuFitter, GpuPresenter, GpuRasteriser, adapters};
 pub use lanes::{SimdLevel, simd_level};
 pub use light_file::{LightImage, light_from_file};
 pub use loss::{Photometric, PhotometricWeights, mask_loss, mean_absolute_error, photometric, psnr};
-pub use ply::{read_ply, write_ply};
+pub use ply::{ply_bytes, read_ply, write_ply};
 pub use project::RasterOptions;
 pub use raster::{Floor, floor};
 pub use render::{Frame, FrameGradient, Prepared, composite, prepare, render};

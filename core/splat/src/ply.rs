@@ -47,6 +47,14 @@ pub fn write_ply(path: &Path, scene: &RawGaussians) -> Result<(), SplatError> {
     write(scene, &mut out).and_then(|()| out.flush()).map_err(fail)
 }
 
+/// The bytes of a scene's file.
+pub fn ply_bytes(scene: &RawGaussians) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(1024 + scene.means.len() * NAMES.len() * size_of::<f32>());
+    // Writing to memory cannot fail.
+    let _ = write(scene, &mut bytes);
+    bytes
+}
+
 fn write(scene: &RawGaussians, out: &mut impl Write) -> std::io::Result<()> {
     write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", scene.means.len())?;
     for name in NAMES {

@@ -1,6 +1,6 @@
 //! BaselineTrainer: stage 1, a relightable avatar of Gaussians on the tracked head (after HRAvatar).
 
-use heartian_avatar::{Avatar, TrainOptions, train};
+use heartian_avatar::{Avatar, TrainOptions, state_bytes_per_gaussian, train};
 use heartian_face::Track;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, Resources, params, register};
 use heartian_space::{Clip, Metrics};
@@ -29,7 +29,7 @@ register!(BaselineTrainer);
 
 impl Node for BaselineTrainer {
     const KIND: &'static str = "BaselineTrainer";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] =
         &[Port::one::<Clip>("clip", "The recording."), Port::one::<Track>("track", "The head tracked through it.")];
     const OUTPUTS: &'static [Port] = &[
@@ -56,6 +56,8 @@ impl Node for BaselineTrainer {
             .with("avatar.gaussians", report.gaussians as f64)
             .with("avatar.steps", f64::from(report.steps))
             .with("avatar.motion_modes", report.modes as f64)
+            .with("avatar.motion_drivers", report.drivers as f64)
+            .with("avatar.state_bytes_per_gaussian", state_bytes_per_gaussian(report.modes) as f64)
             .with("avatar.training_psnr_db", report.training.psnr_db)
             .with("avatar.training_ssim", report.training.ssim);
         Ok(Outputs::new().put("avatar", avatar).put("metrics", metrics))

@@ -11,6 +11,7 @@ use super::Fit;
 use super::appearance::Appearance;
 use super::schedule::FrameOrder;
 use crate::canonical::{Canonical, GROUPS};
+use crate::coherent::Neighbours;
 use crate::density::Statistics;
 use crate::optimiser::{Optimiser, options};
 
@@ -57,6 +58,8 @@ pub(super) fn save(fit: &Fit<'_>, course: &Course) -> Result<Vec<u8>, ArtifactEr
         .tensor("statistics.gradients", &[statistics.gradient_sum.len()], &statistics.gradient_sum)?
         .tensor("statistics.frames", &[statistics.frames.len()], &statistics.frames)?
         .tensor("statistics.pixels", &[statistics.most_pixels.len()], &statistics.most_pixels)?
+        .tensor("rest", &[fit.rest.len()], &fit.rest)?
+        .tensor("neighbours", &[fit.neighbours.rows().len()], fit.neighbours.rows())?
         .tensor("order", &[frames.len()], &frames)?
         .tensor("live", &[2], &course.live)?
         .tensor("history", &[course.history.len(), 2], &history)?
@@ -102,14 +105,28 @@ pub(super) fn restore(fit: &mut Fit<'_>, bytes: &[u8]) -> Option<Course> {
         history: history.as_chunks::<2>().0.iter().map(|[step, psnr]| (*step as u32, *psnr)).collect(),
     };
     let offsets = reader.shaped::<f64>("offsets", &[Some(3), None]).ok()?;
+    let neighbours = Neighbours::from_rows(&reader.shaped::<u32>("neighbours", &[None]).ok()?, count)?;
+    let rest = flat("rest").filter(|rest| rest.len() == 3 * count && rest.iter().all(|value| value.is_finite()))?;
     let visits = reader.shaped::<i32>("visits", &[None]).ok()?;
-    let fits = canonical.is_consistent()
+    let finite = is_finite(&canonical, &adams, &appearance) && offsets.iter().all(|value| value.is_finite());
+    let fits = finite
+        && canonical.is_consistent()
         && count > 0
         && [statistics.gradient_sum.len(), statistics.most_pixels.len()] == [count; 2];
     if !fits || !fit.refiner.restore(&offsets, &visits) {
         return None;
     }
     fit.optimiser = Optimiser::from_groups(adams.try_into().ok()?);
+    (fit.neighbours, fit.rest) = (neighbours, rest);
+    fit.gradient = Canonical::zeros(count, canonical.modes);
     (fit.canonical, fit.statistics, fit.appearance) = (canonical, statistics, appearance);
     Some(course)
+}
+
+/// Whether parameters, moments and light are all finite: a fit never makes others, a damaged file might.
+fn is_finite(canonical: &Canonical, adams: &[Adam], appearance: &Appearance) -> bool {
+    let light = appearance.state();
+    let moments = adams.iter().chain(light.map(|(_, adam)| adam)).flat_map(Adam::moments).flatten();
+    let radiance = light.into_iter().flat_map(|(environment, _)| environment.radiance.iter().flatten());
+    canonical.first_not_finite().is_none() && moments.chain(radiance).all(|value| value.is_finite())
 }
