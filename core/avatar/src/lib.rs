@@ -7,8 +7,8 @@
 //!
 //! # What differs from HRAvatar (Zhang and others 2025), whose method stage 1 follows
 //!
-//! * Identity is baked in, and a motion basis is stored only when the tracked motion excites it (`motion.rs`): 20 to 25 of
-//!   the 61 numbers that are tracked. The baseline keeps 188 directions a Gaussian, 9.4 kB with its moments.
+//! * Identity is baked in, and a motion basis is stored only when the tracked motion excites it (`motion.rs`): about 20 of
+//!   the 36 numbers that are tracked. The baseline keeps 188 directions a Gaussian, 9.4 kB with its moments.
 //! * The normal is the third axis, along which Gaussians start flat on the surface; the shortest axis jumps when two
 //!   scales cross, and is arbitrary while Gaussians are still round. It is turned to the camera at the posed place, not at the rest place.
 //! * Colours are composited in linear light and encoded at the edge. The light is radiance in spherical harmonics, with no
