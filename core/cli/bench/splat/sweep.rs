@@ -45,14 +45,19 @@ pub fn run(arguments: &SplatBench) -> Result<(String, Value)> {
         std::fs::write(arguments.out.join(name), encode_png(&figure).into_diagnostic()?).into_diagnostic()
     };
     let fast: Vec<&Row> = rows.iter().filter(|row| row.both.is_some()).collect();
-    let cost = |name: &'static str, ms: &dyn Fn(&Row) -> f64| -> Vec<CostPoint> {
-        let point = |row: &&Row| CostPoint { group: name.to_owned(), work: row.pairs as f64 * 1e-6, cost: ms(row) };
-        fast.iter().map(point).collect()
-    };
-    let mut points = cost("forward", &|row| row.forward.min_ms);
-    points.extend(cost("forward + backward", &|row| row.both.map_or(f64::NAN, |both| both.min_ms)));
-    let (figure, fits) = cost_figure(&points, "million (Gaussian, pixel) pairs", "ms").into_diagnostic()?;
-    write("cost.png", figure)?;
+    // Splats cost by themselves, so a line is drawn through the resolutions of each number of them.
+    let mut fits = Vec::new();
+    for (name, file) in [("forward", "cost_forward.png"), ("forward + backward", "cost_forward_backward.png")] {
+        let point = |row: &&Row| CostPoint {
+            group: format!("{name}, {}k splats", row.splats / 1000),
+            work: row.pairs as f64 * 1e-6,
+            cost: if name == "forward" { row.forward.min_ms } else { row.both.map_or(f64::NAN, |both| both.min_ms) },
+        };
+        let points: Vec<CostPoint> = fast.iter().map(point).collect();
+        let (figure, lines) = cost_figure(&points, "million (Gaussian, pixel) pairs", "ms").into_diagnostic()?;
+        write(file, figure)?;
+        fits.extend(lines);
+    }
     let trade = |row: &Row| TradeOff {
         label: format!("{}k, {}²", row.splats / 1000, row.side_px),
         group: format!("{}, {}", row.precision, row.device),
@@ -72,11 +77,7 @@ pub fn run(arguments: &SplatBench) -> Result<(String, Value)> {
             100.0 * (1.0 - fit.explained)
         );
     }
-    text += &format!(
-        "plots: {} and {}\n",
-        arguments.out.join("cost.png").display(),
-        arguments.out.join("speed.png").display()
-    );
+    text += &format!("plots in {}: cost_forward.png, cost_forward_backward.png, speed.png\n", arguments.out.display());
     let fits = fits.iter().map(|fit| {
         json!({"group": fit.group, "fixed_ms": fit.fixed, "ms_per_million_pairs": fit.slope, "r2": fit.explained})
     });
