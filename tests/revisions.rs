@@ -57,6 +57,8 @@ fn run_graph(name: &str, sets: &[&str]) -> BTreeMap<String, Pinned> {
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_heartian"));
     command.current_dir(folder.path()).env("HEARTIAN_SIMD", "baseline").env_remove("HEARTIAN_CACHE");
+    // Nothing installed: the digests do not depend on what this machine has.
+    command.env("HEARTIAN_MODELS", folder.path().join("models"));
     command.arg("run").arg(root.join(format!("graphs/{name}.ron"))).args(["--cache", "cache", "--out", "out"]);
     sets.iter().for_each(|set| {
         command.args(["--set", set]);

@@ -18,5 +18,5 @@ pub mod video;
 
 pub use crop::CropSquare;
 pub use error::CaptureError;
-pub use matte::{MatteSource, matte_clip, matte_iou};
+pub use matte::{MatteSource, matte_clip, matte_iou, network_iou};
 pub use observe::observe_clip;

@@ -12,7 +12,7 @@ mod rim;
 use heartian_space::Rgb8Image;
 
 use crate::crop::Points;
-pub use clip::{MatteSource, matte_clip, matte_iou};
+pub use clip::{MatteSource, matte_clip, matte_iou, network_iou};
 pub(crate) use outline::keep_connected;
 
 /// What is needed beside the picture to cut a head out.

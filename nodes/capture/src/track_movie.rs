@@ -2,8 +2,10 @@
 
 use heartian_capture::overlay::Overlay;
 use heartian_capture::synthetic::GroundTruth;
+use heartian_capture::{CaptureError, network_iou};
+use heartian_face::models::{self, Set, State};
 use heartian_face::{Observations, Track};
-use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, params, register};
+use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, SourceFile, params, register};
 use heartian_space::{Clip, Metrics};
 
 params! {
@@ -14,13 +16,16 @@ params! {
         seconds: f64 = 8.0, unit("s"), range(0.1, 600.0);
         /// Picture pixels for each pixel of the clip.
         scale: usize = 2, range(1.0, 8.0);
+        /// Of a synthetic recording, so many frames are matted by the installed person network and held against their true
+        /// matte (`matte.iou`); 0 for none.
+        matte_frames: usize = 24, range(0.0, 600.0);
     }
 }
 register!(TrackMovie);
 
 impl Node for TrackMovie {
     const KIND: &'static str = "TrackMovie";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The clip that was tracked."),
         Port::one::<Track>("track", "Its track."),
@@ -30,8 +35,18 @@ impl Node for TrackMovie {
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The drawing, labelled `tracked`."),
-        Port::one::<Metrics>("metrics", "frames.count and, with a truth, track.*: rotation, jaw and blinks."),
+        Port::one::<Metrics>(
+            "metrics",
+            "frames.count and, with a truth, track.*: rotation, jaw and blinks; matte.iou.",
+        ),
     ];
+
+    fn sources(&self) -> Vec<SourceFile> {
+        // What is not installed is not used: with the networks come other figures, so another key.
+        let all = if self.matte_frames > 0 { models::list().unwrap_or_default() } else { Vec::new() };
+        let there = all.into_iter().filter(|model| model.set == Set::Face && model.state == State::Installed);
+        there.map(|model| SourceFile::new("matte_frames", model.path)).collect()
+    }
 
     fn run(&self, inputs: &Inputs, _: &Context) -> Result<Outputs, NodeError> {
         let (clip, track) = (inputs.get::<Clip>("clip")?, inputs.get::<Track>("track")?);
@@ -48,6 +63,13 @@ impl Node for TrackMovie {
                 .with("track.jaw_correlation", scores.jaw_correlation)
                 .with("track.blink_f1", scores.blink_f1)
                 .with("track.blink_frame_f1", scores.blink_frame_f1);
+            if let (Some(seen), 1..) = (&landmarks, self.matte_frames) {
+                match network_iou(&clip, seen, self.matte_frames) {
+                    Ok(iou) => metrics = metrics.with("matte.iou", iou),
+                    Err(CaptureError::Models(_)) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
         }
         Ok(Outputs::new().put("clip", movie).put("metrics", metrics))
     }

@@ -172,6 +172,25 @@ pub fn matte_iou(a: &Clip, b: &Clip) -> f64 {
     if either == 0 { 1.0 } else { both as f64 / either as f64 }
 }
 
+/// The person network's matte of up to `frames` frames, spread evenly, against the clip's own alpha: [`matte_iou`].
+///
+/// # Errors
+/// As [`matte_clip`]; no clip without frames.
+pub fn network_iou(truth: &Clip, landmarks: &Observations, frames: usize) -> Result<f64, CaptureError> {
+    let count = frames.clamp(1, truth.len().max(1));
+    let chosen: Vec<usize> = (0..count).map(|k| k * truth.len() / count).collect();
+    let sequence = Sequence {
+        frames: chosen.iter().flat_map(|frame| truth.frame(*frame)).copied().collect(),
+        alpha: chosen.iter().flat_map(|frame| truth.frame_alpha(*frame)).copied().collect(),
+        times_seconds: chosen.iter().map(|frame| truth.times_seconds[*frame]).collect(),
+    };
+    let sample = Clip::new(&truth.label, truth.width, truth.height, sequence)?;
+    let seen = chosen.iter().map(|frame| landmarks.has_face(*frame).then(|| landmarks.frame(*frame).collect()));
+    let seen = Observations::new(landmarks.width, landmarks.height, sample.times_seconds.clone(), seen.collect())?;
+    let mut go_on = |_: Progress| ControlFlow::Continue(());
+    Ok(matte_iou(&matte_clip(&sample, &seen, &MatteSource::Person, &mut go_on)?, &sample))
+}
+
 #[cfg(test)]
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
@@ -193,6 +212,7 @@ mod tests {
         };
         let iou = matte_iou(&found, &truth.clip);
         println!("matte iou {iou:.4}");
+        assert_eq!(network_iou(&truth.clip, &truth.observations, 99).unwrap(), iou, "all frames there are");
         if let Some(folder) = std::env::var_os("HEARTIAN_SHOW") {
             std::fs::write(Path::new(&folder).join("found.rgb"), found.image_over_black(2).data).unwrap();
             std::fs::write(Path::new(&folder).join("truth.rgb"), truth.clip.image_over_black(2).data).unwrap();
