@@ -100,9 +100,10 @@ impl History {
     }
 
     /// The earlier record of that kind that differs in the fewest fields from a preimage, the latest of equals; and the
-    /// differences. `before` leaves out what was made then or later, and the preimage's own record is left out too.
-    pub fn nearest(&self, kind: &str, fields: &Value, before: Option<SystemTime>) -> Option<(&Entry, Vec<Change>)> {
-        let earlier = |index: &&usize| before.is_none_or(|before| self.entries[**index].made < before);
+    /// differences. `until` leaves out what was made later, and the preimage's own record is left out too. Two short runs
+    /// may finish within one tick of the file system's clock, so what was made at the same time counts as earlier.
+    pub fn nearest(&self, kind: &str, fields: &Value, until: Option<SystemTime>) -> Option<(&Entry, Vec<Change>)> {
+        let earlier = |index: &&usize| until.is_none_or(|until| self.entries[**index].made <= until);
         let candidates = self.by_kind.get(kind)?.iter().filter(earlier).take(CANDIDATES);
         let compared = candidates.map(|index| (&self.entries[*index], changes(&self.entries[*index].fields, fields)));
         compared.filter(|(_, changes)| !changes.is_empty()).min_by_key(|(_, changes)| changes.len())
