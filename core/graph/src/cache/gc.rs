@@ -4,7 +4,7 @@
 //! counts as damaged, and is made again; no run fails and no result changes.
 
 use std::collections::{HashMap, HashSet};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
 
@@ -52,12 +52,17 @@ struct Candidate {
     pinned: bool,
 }
 
+/// Files are stamped by a clock that stands still for up to this long: what a run wrote just after it began may carry a
+/// time just before.
+const TICK: Duration = Duration::from_millis(10);
+
 impl Cache {
     /// Drops what `options` do not keep.
     pub fn gc(&self, options: &GcOptions) -> GcReport {
         let started = SystemTime::now();
         let runs = self.used_keys();
         let active_since = runs.iter().filter(|run| run.active).map(began).min().unwrap_or(started);
+        let active_since = active_since.checked_sub(TICK).unwrap_or(active_since);
         let mut candidates = self.candidates(&runs, active_since);
         // The longest unused first; of one run's, what is quickest to make again for its size.
         candidates.sort_by(|a, b| b.run.cmp(&a.run).then_with(|| worth(a).total_cmp(&worth(b))));
