@@ -218,7 +218,7 @@ mod tests {
             std::fs::write(Path::new(&folder).join("truth.rgb"), truth.clip.image_over_black(2).data).unwrap();
             std::fs::write(Path::new(&folder).join("frame.rgb"), truth.clip.frame(2)).unwrap();
         }
-        assert!(iou > 0.80, "{iou}");
+        assert!(iou > 0.93, "{iou}");
     }
 
     #[test]
@@ -233,7 +233,7 @@ mod tests {
         let keyed = matte_clip(&clip, &nobody, &key, &mut go).unwrap();
         let mut want = clip.clone();
         want.alpha = (0..size * size).map(|i| if head(i) { 255 } else { 0 }).collect();
-        assert!(matte_iou(&keyed, &want) > 0.85, "{}", matte_iou(&keyed, &want));
+        assert!(matte_iou(&keyed, &want) > 0.90, "{}", matte_iou(&keyed, &want));
         assert_eq!((matte_iou(&want, &want), matte_iou(&clip, &clip), matte_iou(&clip, &want)), (1.0, 1.0, 0.0));
 
         let folder = tempfile::tempdir().unwrap();
