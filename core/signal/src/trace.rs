@@ -39,7 +39,9 @@ pub fn mean_rgb(clip: &Clip, weighting: Weighting) -> Result<Vec<Rgb>> {
             Ok(weighted_sums(clip.frame(frame), alpha).map(|sum| sum as f64 / total as f64))
         }
     };
-    (0..clip.len()).into_par_iter().map(mean).collect()
+    // Gathered before the first error is taken: at any number of threads it names the first frame.
+    let means: Vec<Result<Rgb>> = (0..clip.len()).into_par_iter().map(mean).collect();
+    means.into_iter().collect()
 }
 
 /// The heart rate a classical method reads from a clip: mean RGB, evened out in time, the method, the protocol
