@@ -32,7 +32,6 @@ mod color;
 mod cost;
 mod deform;
 mod density;
-mod eigen;
 mod error;
 mod evaluate;
 mod frozen;

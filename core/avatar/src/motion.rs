@@ -6,11 +6,10 @@
 //! driven by the jaw and by the rigid motion about its mean (what does not move with the head: neck, shoulders, loose
 //! hair). A driver the clip does not excite is left out. All coefficients are affine in the tracked numbers.
 
-use heartian_face::{Basis, FramePose, HeadModel, Track};
+use heartian_face::{Basis, Eigen, FramePose, HeadModel, Track, symmetric_eigen};
 
 use crate::AvatarError;
 use crate::deform::Motion;
-use crate::eigen::{Eigen, symmetric_eigen};
 use crate::rig::{POSE_SIZE, Pose, Rig};
 
 /// Tracked numbers beyond the expression: eyelids 2, jaw 3, rotation 3, translation 3.

@@ -3,6 +3,7 @@
 //! Head space: metres, x toward the subject's left, y up, z out of the face, origin near the centre of the head. A
 //! frontal face before the camera of our clips has `world_from_head` ≈ (identity, (0, 0, −1)).
 
+mod eigen;
 mod error;
 mod heads;
 mod model;
@@ -15,6 +16,7 @@ mod steadiness;
 mod track;
 mod tracker;
 
+pub use eigen::{Eigen, symmetric_eigen};
 pub use error::FaceError;
 pub use heads::HeadSource;
 pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};

@@ -80,24 +80,6 @@ fn columns_of(r: Reach, row: i32) -> vec2i {
     return tile_range(r.mean.x + left, r.mean.x + right, params.width);
 }
 
-var<workgroup> sums: array<u32, 256>;
-
-// Sum of the values of the lanes before this one; `sums[255]` is the sum of all. Ends with a barrier behind it.
-fn scan(lane: u32, value: u32) -> u32 {
-    sums[lane] = value;
-    workgroupBarrier();
-    for (var step = 1u; step < 256u; step *= 2u) {
-        var other = 0u;
-        if lane >= step {
-            other = sums[lane - step];
-        }
-        workgroupBarrier();
-        sums[lane] += other;
-        workgroupBarrier();
-    }
-    return sums[lane] - value;
-}
-
 // Entries before each splat, block by block. `keys` are those of the Gaussians in the order of depth.
 @compute @workgroup_size(256)
 fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -152,7 +134,7 @@ fn plan(@builtin(local_invocation_index) lane: u32) {
         if block < count {
             blocks[block] = carry + ahead;
         }
-        carry = min(carry + sums[255], MOST);
+        carry = min(carry + scanned[255], MOST);
         workgroupBarrier();
     }
     if lane == 0u {

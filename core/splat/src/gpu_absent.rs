@@ -50,12 +50,12 @@ impl Gpu {
 
 /// A rasteriser on a device; there can be none.
 #[derive(Debug)]
-pub enum GpuRasteriser {}
+pub struct GpuRasteriser(Arc<Gpu>);
 
 impl GpuRasteriser {
     /// On a device.
     pub fn new(gpu: &Arc<Gpu>) -> Self {
-        match **gpu {}
+        Self(Arc::clone(gpu))
     }
 
     /// As the twin's.
@@ -63,7 +63,7 @@ impl GpuRasteriser {
     /// # Errors
     /// None: there is no such object.
     pub fn render(&mut self, _: &Gaussians, _: &Camera, _: &RasterOptions) -> Result<Frame, SplatError> {
-        match *self {}
+        match *self.0 {}
     }
 
     /// As the twin's.
@@ -71,7 +71,7 @@ impl GpuRasteriser {
     /// # Errors
     /// None: there is no such object.
     pub fn resident_seconds(&self, _: u32, _: bool) -> Result<f64, SplatError> {
-        match *self {}
+        match *self.0 {}
     }
 
     /// As the twin's.
@@ -79,7 +79,7 @@ impl GpuRasteriser {
     /// # Errors
     /// None: there is no such object.
     pub fn backward(&mut self, _: &FrameGradient) -> Result<SceneGradients, SplatError> {
-        match *self {}
+        match *self.0 {}
     }
 }
 

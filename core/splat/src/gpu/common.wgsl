@@ -51,3 +51,21 @@ fn finite3(v: vec3f) -> bool {
 fn finite4(v: vec4f) -> bool {
     return finite3(v.xyz) && finite(v.w);
 }
+
+var<workgroup> scanned: array<u32, 256>;
+
+// Sum of the values of the lanes before this one; `scanned[255]` is the sum of all. Ends with a barrier behind it.
+fn scan(lane: u32, value: u32) -> u32 {
+    scanned[lane] = value;
+    workgroupBarrier();
+    for (var step = 1u; step < 256u; step *= 2u) {
+        var other = 0u;
+        if lane >= step {
+            other = scanned[lane - step];
+        }
+        workgroupBarrier();
+        scanned[lane] += other;
+        workgroupBarrier();
+    }
+    return scanned[lane] - value;
+}

@@ -29,27 +29,11 @@ const BLOCK: u32 = 2048u;
 const WORDS: u32 = 8u;
 
 var<workgroup> bins: array<atomic<u32>, 256>;
-var<workgroup> sums: array<u32, 256>;
 var<workgroup> starts: array<u32, 256>;
 var<workgroup> masks: array<atomic<u32>, 2048>;
 
 fn digit_of(key: u32) -> u32 {
     return (key >> digit_pass.shift) & 255u;
-}
-
-fn scan(lane: u32, value: u32) -> u32 {
-    sums[lane] = value;
-    workgroupBarrier();
-    for (var step = 1u; step < 256u; step *= 2u) {
-        var other = 0u;
-        if lane >= step {
-            other = sums[lane - step];
-        }
-        workgroupBarrier();
-        sums[lane] += other;
-        workgroupBarrier();
-    }
-    return sums[lane] - value;
 }
 
 @compute @workgroup_size(256)
@@ -86,7 +70,7 @@ fn offsets(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
         if block < blocks {
             table[row + block] = carry + ahead;
         }
-        carry += sums[255];
+        carry += scanned[255];
         workgroupBarrier();
     }
     if lane == 0u {

@@ -6,6 +6,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::eigen::{Eigen, symmetric_eigen};
+
 /// Displacements of some vertices of the base mesh, decimetres.
 pub type Shifts = BTreeMap<u32, [f64; 3]>;
 
@@ -87,20 +89,18 @@ pub fn principal(directions: &[Vec<f64>], metric: &[f64]) -> Vec<Vec<f64>> {
             (gram[i * n + j], gram[j * n + i]) = (product, product);
         }
     }
-    let (values, vectors) = symmetric_eigen(gram, n);
+    let Eigen { values, vectors } = symmetric_eigen(n, &gram);
     let whole: f64 = values.iter().sum();
-    let mut order: Vec<usize> = (0..n).collect();
-    order.sort_by(|a, b| values[*b].total_cmp(&values[*a]));
     let mut held = 0.0;
     let mut modes = Vec::new();
-    for k in order.into_iter().take(MOST_MODES) {
-        if !(values[k] > 1e-9 * whole) || held > SHARE * whole {
+    for (value, vector) in values.iter().zip(&vectors).take(MOST_MODES) {
+        if !(*value > 1e-9 * whole) || held > SHARE * whole {
             break;
         }
-        held += values[k];
+        held += value;
         let mut mode = vec![0.0; metric.len()];
-        for (i, direction) in directions.iter().enumerate() {
-            mode.iter_mut().zip(direction).for_each(|(sum, value)| *sum += vectors[k * n + i] * value);
+        for (weight, direction) in vector.iter().zip(directions) {
+            mode.iter_mut().zip(direction).for_each(|(sum, value)| *sum += weight * value);
         }
         // The sign is free: let the largest value be positive.
         let largest = mode.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
@@ -108,42 +108,6 @@ pub fn principal(directions: &[Vec<f64>], metric: &[f64]) -> Vec<Vec<f64>> {
         modes.push(mode);
     }
     modes
-}
-
-/// Eigenvalues and eigenvectors (rows) of a symmetric matrix by cyclic Jacobi rotations.
-fn symmetric_eigen(mut matrix: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
-    let mut vectors = vec![0.0; n * n];
-    (0..n).for_each(|i| vectors[i * n + i] = 1.0);
-    for _ in 0..30 {
-        let off: f64 = (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| matrix[i * n + j].powi(2)).sum();
-        let diagonal: f64 = (0..n).map(|i| matrix[i * n + i].powi(2)).sum();
-        if off <= 1e-24 * diagonal {
-            break;
-        }
-        for p in 0..n {
-            for q in p + 1..n {
-                let element = matrix[p * n + q];
-                if element == 0.0 {
-                    continue;
-                }
-                let theta = (matrix[q * n + q] - matrix[p * n + p]) / (2.0 * element);
-                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-                let c = 1.0 / (t * t + 1.0).sqrt();
-                let s = t * c;
-                for k in 0..n {
-                    let (a, b) = (matrix[k * n + p], matrix[k * n + q]);
-                    (matrix[k * n + p], matrix[k * n + q]) = (c * a - s * b, s * a + c * b);
-                }
-                for k in 0..n {
-                    let (a, b) = (matrix[p * n + k], matrix[q * n + k]);
-                    (matrix[p * n + k], matrix[q * n + k]) = (c * a - s * b, s * a + c * b);
-                    let (a, b) = (vectors[p * n + k], vectors[q * n + k]);
-                    (vectors[p * n + k], vectors[q * n + k]) = (c * a - s * b, s * a + c * b);
-                }
-            }
-        }
-    }
-    ((0..n).map(|i| matrix[i * n + i]).collect(), vectors)
 }
 
 #[cfg(test)]
