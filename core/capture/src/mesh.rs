@@ -10,5 +10,5 @@ mod shade;
 
 pub use light::{AreaLight, Lighting};
 pub use occlusion::{Transfer, visibility_basis};
-pub use raster::{EIGHT_SAMPLES, Fragment, ScreenVertex, VisibilityBuffer};
+pub use raster::{EIGHT_SAMPLES, Fragment, ONE_SAMPLE, ScreenVertex, VisibilityBuffer};
 pub use shade::{Surface, shade};

@@ -1,8 +1,9 @@
 //! A real recording: video in; head crop, matte and landmarks out.
 //!
-//! The video is read twice and never held whole: once to follow the face, once to cut the square that holds it. Landmarks
-//! come in pixels of the crop, raw (the tracker smooths), and `None` where no face is seen. Frame times are those of the
-//! recording, so that a pulse trace on the same clock stays aligned when `start_seconds` is not 0.
+//! The video is read three times and never held whole: to follow the face, to look at what the person wears, and to cut
+//! out the square that holds the head. Landmarks come in pixels of the crop, raw (the tracker smooths), and `None` where no
+//! face is seen. Frame times are those of the recording, so that a pulse trace on the same clock stays aligned when
+//! `start_seconds` is not 0.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -15,7 +16,7 @@ use rayon::prelude::*;
 
 use crate::CaptureError;
 use crate::crop::{CropSquare, Cropper};
-use crate::matte::{Evidence, refine};
+use crate::matte::{Body, Evidence, LOOKS, nearest_face, refine};
 use crate::video::{self, VideoOptions};
 
 /// Full frames held at once.
@@ -86,9 +87,15 @@ pub fn load_real(
         let frames = followed.faces.len();
         return Err(CaptureError::NoFace { source_path: source.to_owned(), frames });
     };
-    let clip = cut(source, options, &nets, &followed, square, progress)?;
     let frames = followed.faces.iter().map(|face| face.as_ref().map(|face| landmarks(face, square, options.size)));
     let observations = Observations::new(options.size, options.size, followed.times_seconds.clone(), frames.collect())?;
+    let cutter = Cutter {
+        options,
+        nets: &nets,
+        cropper: Cropper::new(square, followed.frame_size, options.size),
+        observations: &observations,
+    };
+    let clip = cutter.cut(source, progress)?;
     Ok(RealRecording { clip, observations, square, warnings: followed.warnings })
 }
 
@@ -173,70 +180,82 @@ fn landmarks(face: &FaceLandmarks, square: CropSquare, size: usize) -> Vec<Landm
     points.map(landmark).collect()
 }
 
-/// The second pass: crops and mattes, in batches over all cores; frames keep their order.
-fn cut(
-    source: &Path,
-    options: &RealOptions,
-    nets: &FaceNets,
-    followed: &Followed,
-    square: CropSquare,
-    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
-) -> Result<Clip, CaptureError> {
-    let size = options.size;
-    let cropper = Cropper::new(square, followed.frame_size, size);
-    let coverage = cropper.coverage();
-    let nearest = nearest_faces(&followed.faces, square, size);
-    let total = followed.times_seconds.len();
-    let mut frames = Vec::with_capacity(total * size * size * 3);
-    let mut alpha = Vec::with_capacity(total * size * size);
-    let mut batch: Vec<Rgb8Image> = Vec::with_capacity(BATCH_FRAMES);
-    let mut flush = |batch: &mut Vec<Rgb8Image>| -> Result<(), CaptureError> {
-        let first = alpha.len() / (size * size);
-        let cut_one = |(i, image): (usize, &Rgb8Image)| -> Result<(Rgb8Image, Vec<u8>), CaptureError> {
-            let mut crop = cropper.crop(image);
-            if !options.matte {
-                return Ok((crop, coverage.iter().map(|part| (part * 255.0 + 0.5) as u8).collect()));
-            }
-            let probability = nets.person.probability(&crop)?;
-            let face = nearest.get(first + i).map_or(&[][..], Vec::as_slice);
-            let evidence = Evidence { probability: &probability, coverage: &coverage, face };
-            let matte = refine(&mut crop, &evidence);
-            Ok((crop, matte))
-        };
-        for done in batch.par_iter().enumerate().map(cut_one).collect::<Vec<_>>() {
-            let (crop, matte) = done?;
-            frames.extend_from_slice(&crop.data);
-            alpha.extend_from_slice(&matte);
-        }
-        batch.clear();
-        let step = (total + alpha.len() / (size * size)) as u64;
-        report(progress, Progress { step, total: 2 * total as u64, metric: None })
-    };
-    for_each_frame(source, options, |_, image| {
-        batch.push(image);
-        if batch.len() == BATCH_FRAMES { flush(&mut batch) } else { Ok(()) }
-    })?;
-    flush(&mut batch)?;
-    let sequence = Sequence { frames, alpha, times_seconds: followed.times_seconds.clone() };
-    Ok(Clip::new("input", size, size, sequence)?)
+/// Cuts the head out of every frame, once the first pass knows where it is.
+struct Cutter<'a> {
+    options: &'a RealOptions,
+    nets: &'a FaceNets,
+    cropper: Cropper,
+    observations: &'a Observations,
 }
 
-/// For every frame the landmarks of the nearest frame that has a face, in crop pixels.
-fn nearest_faces(faces: &[Option<FaceLandmarks>], square: CropSquare, size: usize) -> Vec<Vec<[f32; 3]>> {
-    let seen: Vec<usize> = (0..faces.len()).filter(|i| faces[*i].is_some()).collect();
-    let in_crop = |face: &FaceLandmarks| -> Vec<[f32; 3]> {
-        let point = |[x, y, z]: &[f32; 3]| {
-            let [x, y] = square.crop_from_source([*x, *y], size);
-            [x, y, *z]
+impl Cutter<'_> {
+    /// Looks at frames spread over the recording: how the head sits on its neck, and what the person wears.
+    fn body(
+        &self,
+        source: &Path,
+        progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+    ) -> Result<Option<Body>, CaptureError> {
+        let total = self.observations.len();
+        let mut go_on = || progress(Progress { step: total as u64, total: 2 * total as u64, metric: None });
+        let Some(mut body) = Body::fitted(self.observations, &mut go_on)? else { return Ok(None) };
+        let mut frame = 0;
+        for_each_frame(source, self.options, |_, image| {
+            if frame % total.div_ceil(LOOKS) == 0 {
+                let crop = self.cropper.crop(&image);
+                let probability = self.nets.person.probability(&crop)?;
+                body.look(frame, &crop, &probability, &nearest_face(self.observations, frame));
+            }
+            frame += 1;
+            if go_on().is_break() { Err(CaptureError::Cancelled) } else { Ok(()) }
+        })?;
+        Ok(Some(body))
+    }
+
+    /// The last pass: crops and mattes, in batches over all cores; frames keep their order.
+    fn cut(&self, source: &Path, progress: &mut dyn FnMut(Progress) -> ControlFlow<()>) -> Result<Clip, CaptureError> {
+        let (size, total) = (self.options.size, self.observations.len());
+        let body = if self.options.matte { self.body(source, progress)? } else { None };
+        let coverage = self.cropper.coverage();
+        let mut frames = Vec::with_capacity(total * size * size * 3);
+        let mut alpha = Vec::with_capacity(total * size * size);
+        let mut batch: Vec<Rgb8Image> = Vec::with_capacity(BATCH_FRAMES);
+        let mut flush = |batch: &mut Vec<Rgb8Image>| -> Result<(), CaptureError> {
+            let first = alpha.len() / (size * size);
+            let cut_one = |(i, image): (usize, &Rgb8Image)| self.cut_one((first + i, image), &coverage, body.as_ref());
+            for done in batch.par_iter().enumerate().map(cut_one).collect::<Vec<_>>() {
+                let (crop, matte) = done?;
+                frames.extend_from_slice(&crop.data);
+                alpha.extend_from_slice(&matte);
+            }
+            batch.clear();
+            let step = (total + alpha.len() / (size * size)) as u64;
+            report(progress, Progress { step, total: 2 * total as u64, metric: None })
         };
-        face.points_px.iter().map(point).collect()
-    };
-    let nearest = |i: usize| {
-        let after = seen.partition_point(|s| *s < i);
-        let candidates = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|k| seen.get(k));
-        candidates.min_by_key(|s| s.abs_diff(i)).and_then(|s| faces[*s].as_ref()).map(in_crop).unwrap_or_default()
-    };
-    (0..faces.len()).map(nearest).collect()
+        for_each_frame(source, self.options, |_, image| {
+            batch.push(image);
+            if batch.len() == BATCH_FRAMES { flush(&mut batch) } else { Ok(()) }
+        })?;
+        flush(&mut batch)?;
+        let sequence = Sequence { frames, alpha, times_seconds: self.observations.times_seconds.clone() };
+        Ok(Clip::new("input", size, size, sequence)?)
+    }
+
+    fn cut_one(
+        &self,
+        (frame, image): (usize, &Rgb8Image),
+        coverage: &[f32],
+        body: Option<&Body>,
+    ) -> Result<(Rgb8Image, Vec<u8>), CaptureError> {
+        let mut crop = self.cropper.crop(image);
+        if !self.options.matte {
+            return Ok((crop, coverage.iter().map(|part| (part * 255.0 + 0.5) as u8).collect()));
+        }
+        let probability = self.nets.person.probability(&crop)?;
+        let (face, cut) = (nearest_face(self.observations, frame), body.map(|body| body.cut(frame, &crop)));
+        let evidence = Evidence { probability: &probability, coverage, face: &face, body: cut.as_ref() };
+        let matte = refine(&mut crop, &evidence);
+        Ok((crop, matte))
+    }
 }
 
 #[cfg(test)]

@@ -162,6 +162,13 @@ impl HeadModel {
         std::array::from_fn(|axis| (0..3).map(|corner| anchor.barycentric[corner] * corners[corner][axis]).sum())
     }
 
+    /// Heights between which what a matte keeps of the neck fades out, lower first, head space: the mesh's lowest
+    /// centimetres, so that a picture asks nothing of a head that ends there.
+    pub fn neck_fade(&self) -> [f32; 2] {
+        let lowest = self.vertices.iter().map(|vertex| vertex[1]).fold(f32::MAX, f32::min);
+        [lowest + 0.008, lowest + 0.034]
+    }
+
     /// Checks that the parts fit together.
     ///
     /// # Errors

@@ -25,7 +25,7 @@ register!(TrackMovie);
 
 impl Node for TrackMovie {
     const KIND: &'static str = "TrackMovie";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The clip that was tracked."),
         Port::one::<Track>("track", "Its track."),

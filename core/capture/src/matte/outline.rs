@@ -1,6 +1,5 @@
-//! Masks drawn from landmarks: the face inside, the neckline below the chin, and what hangs together with the face.
+//! The face as its landmarks outline it, and what hangs together with it.
 
-use super::smoothstep;
 use crate::crop::Points;
 
 /// The face's outline in MediaPipe's mesh, once around.
@@ -8,10 +7,6 @@ const OVAL: [usize; 36] = [
     10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150,
     136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
 ];
-const FOREHEAD: usize = 10;
-const CHIN: usize = 152;
-/// Where the jaw turns up to the ears: the subject's right and left.
-const JAW_CORNERS: [usize; 2] = [58, 288];
 /// In profile the outline bulges past the face: draw it a little smaller.
 const SHRINK: f32 = 0.90;
 
@@ -38,39 +33,6 @@ pub(super) fn face_mask(face: &Points, size: usize) -> Vec<f32> {
             let column = |x: f32| ((x - 0.5).ceil().max(0.0) as usize).min(size);
             row[column(*from)..column(*to).max(column(*from))].fill(1.0);
         }
-    }
-    out
-}
-
-/// 1 above the neckline, 0 below, soft between. The line turns with the face: `NECK` face heights below the chin on the
-/// axis between the jaw's corners (which stays with the neck when the head turns), rising beside it: shoulders go.
-pub(super) fn above_neckline(face: &Points, size: usize) -> Vec<f32> {
-    const NECK: f32 = 0.31;
-    const RISE: f32 = 1.8;
-    /// The line ends here, at the level of the mouth, and does not bend further up into the hair.
-    const HIGHEST: f32 = -0.40;
-    const SOFT: f32 = 0.05;
-    let whole = || vec![1.0; size * size];
-    let [Some(top), Some(chin), Some(right), Some(left)] =
-        [FOREHEAD, CHIN, JAW_CORNERS[0], JAW_CORNERS[1]].map(|i| face.get(i))
-    else {
-        return whole();
-    };
-    let (dx, dy) = (chin[0] - top[0], chin[1] - top[1]);
-    let height = dx.hypot(dy);
-    if height.is_nan() || height < 1.0 || !height.is_finite() {
-        return whole();
-    }
-    let (down_x, down_y) = (dx / height, dy / height);
-    let across = |x: f32, y: f32| (x * down_y - y * down_x) / height;
-    let axis = (across(right[0], right[1]) + across(left[0], left[1])) / 2.0;
-    let mut out = Vec::with_capacity(size * size);
-    for i in 0..size * size {
-        let (x, y) = ((i % size) as f32 + 0.5, (i / size) as f32 + 0.5);
-        let below = ((x - chin[0]) * down_x + (y - chin[1]) * down_y) / height;
-        let beside = across(x, y) - axis;
-        let line = (NECK - RISE * beside * beside).max(HIGHEST);
-        out.push(1.0 - smoothstep(line - SOFT, line + SOFT, below));
     }
     out
 }
@@ -127,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn the_face_is_filled_and_the_body_goes() {
+    fn the_face_is_filled() {
         let size = 128;
         let face = oval(size as f32, 0.0);
         let mask = face_mask(&face, size);
@@ -135,10 +97,7 @@ mod tests {
         let area = mask.iter().sum::<f32>() / (size * size) as f32;
         let want = std::f32::consts::PI * 0.2 * 0.25 * SHRINK * SHRINK;
         assert!((area - want).abs() < 0.03 * want, "{area} {want}");
-        let line = above_neckline(&face, size);
-        assert_eq!((line[94 * size + 64], line[126 * size + 64], line[110 * size + 5]), (1.0, 0.0, 0.0));
         assert!(face_mask(&[], size).iter().all(|v| *v == 0.0));
-        assert!(above_neckline(&[], size).iter().all(|v| *v == 1.0));
     }
 
     #[test]

@@ -63,7 +63,23 @@ fn the_real_clip_becomes_a_head_with_landmarks() {
     }
     let share = blue_rim(clip);
     assert!(share < 0.004, "{:.2} % of the head is wall", 100.0 * share);
+    let share = shirt(clip, observations);
+    assert!(share < 0.01, "{:.2} % of what lies below the mouth is shirt", 100.0 * share);
     look(&recording);
+}
+
+/// Of the pixels below the mouth that count as head, those that are grey or blue as the man's shirt is.
+fn shirt(clip: &Clip, observations: &Observations) -> f64 {
+    let (mut grey, mut head) = (0usize, 0usize);
+    for frame in 0..clip.len() {
+        let mouth = observations.frame(frame).nth(17).unwrap().position_px[1] as usize;
+        let pixels = clip.frame(frame).as_chunks::<3>().0.iter().zip(clip.frame_alpha(frame)).skip(mouth * clip.width);
+        for (pixel, _) in pixels.filter(|(_, alpha)| **alpha >= 128) {
+            head += 1;
+            grey += usize::from(u16::from(pixel[0]) < u16::from(pixel[2]) + 12);
+        }
+    }
+    grey as f64 / head.max(1) as f64
 }
 
 /// Error and time of both heads on five seconds. `HEARTIAN_LOOK=folder` writes the last frame and the fitted mesh's points.

@@ -89,7 +89,7 @@ impl Materials {
         let random = Random::new(seed, Stream::Texture);
         let noise = LatticeNoise::new(random);
         let anatomy = Anatomy::new(head);
-        let painter = Painter { anatomy: &anatomy, noise, tone, neck: neck_range(head) };
+        let painter = Painter { anatomy: &anatomy, noise, tone, neck: head.neck_fade() };
         let mut vertices: Vec<VertexMaterial> = head
             .vertices
             .iter()
@@ -279,11 +279,6 @@ fn soften(vertices: &mut [VertexMaterial], triangles: &[[u32; 3]]) {
             vertex.hair = sum / count;
         }
     }
-}
-
-fn neck_range(head: &HeadModel) -> [f32; 2] {
-    let lowest = head.vertices.iter().map(|vertex| vertex[1]).fold(f32::MAX, f32::min);
-    [lowest + 0.008, lowest + 0.034]
 }
 
 /// The part of each triangle. Teeth are the pieces of mouth that hang on no other region.
