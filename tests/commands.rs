@@ -201,6 +201,32 @@ fn devices_are_listed_and_a_graph_takes_one() {
     assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("auto, cpu or gpu"));
 }
 
+/// Where there is no real GPU, `auto` comes to the CPU and finds what the CPU made; a device that is asked for never does.
+#[test]
+fn a_device_shares_no_record_with_the_cpu_and_auto_shares_what_it_comes_to() {
+    let bench = Bench::new();
+    let graph = r#"Graph(name: "small", doc: "A short fit.", nodes: {
+        "frames": (kind: "FrameLoader", params: (seconds: 1.5, size: 48)),
+        "track": (kind: "FlameTracker", inputs: {"clip": "frames.clip", "landmarks": "frames.landmarks"}),
+        "avatar": (kind: "BaselineTrainer", params: (steps: 100, gaussians: 200),
+            inputs: {"clip": "frames.clip", "track": "track.track"}),
+    })"#;
+    std::fs::write(bench.0.path().join("small.ron"), graph).unwrap();
+    bench.said(&["run", "small.ron", "--device", "cpu"]);
+    let standing = |device: &str| {
+        let plan = bench.json(&["explain", "small.ron", "--set", &format!("avatar.device={device}"), "--json"]);
+        let of = |node: &Value| node["standing"].as_str().unwrap().to_owned();
+        plan.as_array().unwrap().iter().map(of).collect::<Vec<_>>()
+    };
+    assert_eq!(standing("Cpu"), ["hit", "hit", "hit"]);
+    let found = bench.json(&["devices", "--json"]);
+    let avatar = if found["auto"] == "cpu" { "hit" } else { "miss" };
+    assert_eq!(standing("Auto"), ["hit", "hit", avatar]);
+    if !found["adapters"].as_array().unwrap().is_empty() {
+        assert_eq!(standing("Gpu"), ["hit", "hit", "miss"]);
+    }
+}
+
 /// The figures themselves are a busy machine's; that they are there, and agree with each other, is not.
 #[test]
 fn the_avatar_is_measured() {

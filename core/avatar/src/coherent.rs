@@ -21,6 +21,13 @@ const FACING: f32 = 0.35;
 /// Most of a disc's longer standard deviation over its shorter one.
 const MOST_ELONGATION: f32 = 5.0;
 
+/// `Sheet` of `coherent.wgsl`.
+pub(crate) fn constants(count: usize, decay: f32) -> [u32; 8] {
+    let [elongation, depth, albedo, facing] =
+        [MOST_ELONGATION.ln(), DEPTH_SHARE, ALBEDO_SHARE, FACING].map(f32::to_bits);
+    [count as u32, decay.to_bits(), elongation, depth, albedo, facing, 0, 0]
+}
+
 /// The nearest neighbours of every Gaussian in canonical space.
 pub(crate) struct Neighbours(Vec<[u32; NEIGHBOURS]>);
 

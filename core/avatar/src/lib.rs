@@ -32,6 +32,7 @@ mod color;
 mod cost;
 mod deform;
 mod density;
+mod device;
 mod error;
 mod evaluate;
 mod frozen;

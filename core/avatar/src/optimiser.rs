@@ -17,6 +17,11 @@ pub(crate) fn options() -> AdamOptions {
     ADAM
 }
 
+/// Ranges of the groups: (least, most).
+pub(crate) fn ranges() -> [(f32, f32); GROUPS] {
+    RANGES
+}
+
 /// Values handled by one task.
 const CHUNK: usize = 16 * 1024;
 

@@ -83,6 +83,21 @@ impl Refiner {
         }
     }
 
+    /// How far and how smoothly poses may move.
+    pub fn options(&self) -> &RefineOptions {
+        &self.options
+    }
+
+    /// Numbers of a frame.
+    pub fn width(&self) -> usize {
+        self.offsets.first().map_or(POSE_SIZE, Vec::len)
+    }
+
+    /// The tracked numbers of the training frames, row by row.
+    pub fn tracked_rows(&self) -> Vec<f32> {
+        self.tracked[..self.offsets.len()].iter().flatten().map(|number| *number as f32).collect()
+    }
+
     /// The refined state of a training frame.
     pub fn state(&self, frame: usize) -> FrameState {
         state(self.tracked[frame].iter().zip(&self.offsets[frame]).map(|(a, b)| a + b))

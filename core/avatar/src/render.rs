@@ -74,7 +74,10 @@ pub(crate) fn render_states(
         scene
     };
     let frames: Vec<Pixels> = match options.gpu {
-        Some(gpu) => device::frames(gpu, &camera, environment, states.len(), scene)?,
+        Some(gpu) => {
+            let (camera, modulation) = (&camera, options.modulation);
+            device::frames(gpu, &device::Shown { avatar, camera, environment, states, modulation })?
+        }
         None => (0..states.len())
             .into_par_iter()
             .map(|index| {

@@ -1,6 +1,8 @@
 //! The fit as a whole, on the ball: quality, determinism, what is refused, and what a render and its linear map promise.
 
+mod device;
 mod poison;
+mod shaders;
 mod shown;
 
 use std::ops::ControlFlow;
@@ -8,7 +10,7 @@ use std::ops::ControlFlow;
 use heartian_artifact::{Artifact, ArtifactError, BundleReader};
 use heartian_face::Track;
 use heartian_space::{Clip, Host, Modulation, Progress, Sequence, Skin};
-use heartian_splat::{Device, Environment, Gpu, PhotometricWeights};
+use heartian_splat::{Environment, PhotometricWeights};
 
 use crate::phantom;
 use crate::picture::{AlbedoOffsets, Features, Scene};
@@ -61,32 +63,8 @@ fn the_same_fit_at_any_number_of_threads() -> Result<(), Box<dyn std::error::Err
     Ok(())
 }
 
-/// On whatever adapter there is, a software one on most machines of CI: a fit and its frames are the CPU's within what
-/// rounding grows to.
-#[test]
-fn a_fit_on_a_device_is_that_of_the_cpu() -> Result<(), AvatarError> {
-    let Ok(Some(gpu)) = Gpu::open(Device::Gpu) else {
-        println!("skipped: no Vulkan, Metal or Direct3D 12 adapter, not even a software one, is here");
-        return Ok(());
-    };
-    let (clip, track) = phantom::recording(40, 8);
-    let options = TrainOptions { steps: 24, gaussians: 200, ..quick() };
-    let cpu = train(&clip, &track, &options, &mut onward)?;
-    let device = train(&clip, &track, &TrainOptions { device: Device::Gpu, ..options }, &mut onward)?;
-    let (a, b) = (cpu.1.training.psnr_db, device.1.training.psnr_db);
-    assert!((a - b).abs() < 0.1, "{a} dB on the CPU, {b} dB on the device");
-    let frames = |gpu| render_clip(&cpu.0, &track, &RenderOptions { gpu, ..RenderOptions::default() });
-    let (here, there) = (frames(None)?, frames(Some(&gpu))?);
-    let solid = |clip: &Clip, i: usize| clip.frame_alpha(0)[i] > 32;
-    let pixels = clip.width * clip.height;
-    for i in (0..pixels).filter(|&i| solid(&here, i)) {
-        let off = (0..3).map(|c| here.frame(0)[3 * i + c].abs_diff(there.frame(0)[3 * i + c])).max();
-        assert!(off.is_some_and(|off| off <= 2), "pixel {i}: {off:?}");
-    }
-    Ok(())
-}
-
 /// Keeps every state, and asks to stop after some step.
+#[derive(Default)]
 struct Stopper {
     kept: Option<Vec<u8>>,
     stop_after: u64,

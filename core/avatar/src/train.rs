@@ -8,6 +8,7 @@
 
 mod appearance;
 mod checkpoint;
+mod resident;
 mod schedule;
 mod targets;
 mod views;
@@ -15,7 +16,7 @@ mod views;
 use glam::{Quat, Vec3};
 use heartian_face::{HeadModel, Track};
 use heartian_space::{Clip, Host, Progress};
-use heartian_splat::{Device, Gpu, GpuFitter, logit};
+use heartian_splat::{Device, Gpu, logit};
 
 use crate::AvatarError;
 use crate::avatar::Avatar;
@@ -33,6 +34,7 @@ use crate::refine::{RefineOptions, Refiner};
 use crate::surface::MeshView;
 use appearance::{Appearance, StepLoss};
 use checkpoint::Course;
+use resident::Resident;
 use schedule::{FrameOrder, Schedule};
 pub(crate) use targets::Level;
 use views::{skin_like, views};
@@ -41,8 +43,6 @@ use views::{skin_like, views};
 const FEWEST_FRAMES: usize = 4;
 /// Steps from one smoothing over neighbours to the next.
 const SMOOTH_EVERY: u32 = 10;
-/// Forgetting of the live figure.
-const LIVE: f64 = 0.98;
 /// The fit may stop early when the live figure gains less than this in a twentieth of the steps, decibels.
 const PLATEAU_DB: f64 = 0.01;
 
@@ -61,7 +61,7 @@ pub struct TrainOptions {
     pub refine: RefineOptions,
     /// Part of the clip at its end that is held out, 0 to 0.5.
     pub held_out: f64,
-    /// What makes the pictures, the losses and their gradients; deformation and descent are always the CPU's.
+    /// What makes the steps; laying out, density control and the guess of the light are always the CPU's.
     pub device: Device,
 }
 
@@ -173,8 +173,8 @@ struct Fit<'a> {
     optimiser: Optimiser,
     refiner: Refiner,
     appearance: Appearance,
-    /// What makes the pictures and their gradients, unless the CPU does.
-    fitter: Option<GpuFitter>,
+    /// What makes the steps, unless the CPU does.
+    resident: Option<Resident>,
     statistics: Statistics,
     /// Of the present Gaussians.
     neighbours: Neighbours,
@@ -216,7 +216,9 @@ impl<'a> Fit<'a> {
             optimiser: Optimiser::new(&canonical),
             refiner: Refiner::new(&states, training, options.refine),
             appearance: Appearance::unshaded(),
-            fitter: Gpu::open(options.device)?.map(|gpu| GpuFitter::new(&gpu)).transpose()?,
+            resident: Gpu::open(options.device)?
+                .map(|gpu| Resident::new(&gpu, clip, training, Schedule::new(options.steps)))
+                .transpose()?,
             statistics: Statistics::new(canonical.len()),
             neighbours: Neighbours::new(&canonical),
             rest: canonical.positions.clone(),
@@ -235,35 +237,54 @@ impl<'a> Fit<'a> {
         let kept = host.resume().and_then(|state| checkpoint::restore(self, &state));
         let mut course = kept.unwrap_or(start);
         let total = u64::from(schedule.steps());
-        while course.step < schedule.steps() && !self.is_settled(&schedule, &course) {
+        let every = (schedule.steps() / 100).max(1);
+        while course.step < schedule.steps() && !self.is_settled(&schedule, &mut course, every)? {
             let step = course.step;
             if !schedule.is_warm_up(step) && self.appearance.is_unshaded() {
+                self.come_home(&mut course, every, true)?;
                 self.turn_on_the_light();
             }
             let level = Level::new(&self.track.camera, if schedule.is_warm_up(step) { 2 } else { 1 });
-            let squared = self.step(&schedule, step, course.order.draw(), &level)?.squared_error;
-            course.live = [LIVE * course.live[0] + (1.0 - LIVE) * squared, LIVE * course.live[1] + (1.0 - LIVE)];
-            let psnr_db = -10.0 * (course.live[0] / course.live[1]).max(1e-12).log10();
-            if schedule.controls_density(step) {
-                self.control_density();
+            let frame = course.order.draw();
+            if self.resident.is_none() {
+                let squared_error = self.step(&schedule, step, frame, &level)?.squared_error;
+                course.note(step, squared_error, every);
+            } else {
+                for (step, squared_error) in self.step_there(step, frame, &level)? {
+                    course.note(step, squared_error, every);
+                }
             }
             course.step = step + 1;
-            if course.step.is_multiple_of((schedule.steps() / 100).max(1)) {
-                course.history.push((course.step, psnr_db));
+            if schedule.controls_density(step) {
+                self.come_home(&mut course, every, true)?;
+                self.control_density();
             }
-            let report = Progress { step: u64::from(course.step), total, metric: Some(("psnr_db", psnr_db)) };
-            let stop = host.progress(report).is_break();
-            host.checkpoint(&mut || checkpoint::save(self, &course).ok());
+            let metric = course.psnr_db().map(|psnr_db| ("psnr_db", psnr_db));
+            let stop = host.progress(Progress { step: u64::from(course.step), total, metric }).is_break();
+            host.checkpoint(&mut || {
+                self.come_home(&mut course, every, false).ok()?;
+                checkpoint::save(self, &course).ok()
+            });
             if stop {
                 return Err(AvatarError::Cancelled);
             }
         }
+        self.come_home(&mut course, every, true)?;
         Ok(course)
     }
 
     /// Whether the fit gains no more after the last step made.
-    fn is_settled(&self, schedule: &Schedule, course: &Course) -> bool {
-        course.step > 0 && schedule.may_stop(course.step - 1) && plateaued(&course.history, schedule.steps())
+    fn is_settled(&mut self, schedule: &Schedule, course: &mut Course, every: u32) -> Result<bool, AvatarError> {
+        if course.step == 0 || !schedule.may_stop(course.step - 1) {
+            return Ok(false);
+        }
+        // The history changes at its points only; what comes back from a device late is waited for there, so that the
+        // answer does not depend on who asked for a checkpoint.
+        let is_first = course.step == 1 || !schedule.may_stop(course.step - 2);
+        if is_first || course.step.is_multiple_of(every) {
+            self.catch_up(course, every)?;
+        }
+        Ok(plateaued(&course.history, schedule.steps()))
     }
 
     /// One frame.
@@ -272,10 +293,7 @@ impl<'a> Fit<'a> {
         let motion = self.model.motion(&self.refiner.state(frame));
         self.gradient.clear();
         let (canonical, gradient, at) = (&self.canonical, &mut self.gradient, (level, schedule.decay(step)));
-        let (loss, picture) = match &mut self.fitter {
-            None => self.appearance.step(canonical, &motion, at, &target, gradient)?,
-            Some(fitter) => self.appearance.step_on(fitter, (canonical, &motion), at, &target, gradient)?,
-        };
+        let (loss, picture) = self.appearance.step(canonical, &motion, at, &target, gradient)?;
         self.statistics.add(&picture.scene);
         if schedule.refines(step) {
             let state = self.refiner.state(frame);

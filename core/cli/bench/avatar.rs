@@ -14,6 +14,7 @@ use heartian_face::Track;
 use heartian_graph::{Graph, Registry, Run, load};
 use heartian_report::{TradeOff, encode_png, trade_off_figure};
 use heartian_space::{Clip, Progress};
+use heartian_splat::{Device, Gpu};
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::{Value, json};
 
@@ -28,6 +29,8 @@ const GRAPH: &str = r#"Graph(name: "bench-avatar", doc: "A recording and its tra
 })"#;
 /// Frames rendered, and steps timed, for one figure.
 const FRAMES: usize = 60;
+/// Where the last part of a fit begins: density is settled then.
+const SETTLED_PERCENT: u64 = 72;
 
 /// How the avatar is measured.
 #[derive(Args)]
@@ -36,9 +39,12 @@ Examples:
   heartian bench avatar                                 the synthetic recording, about four minutes on two cores
   heartian bench avatar --source me.mp4 --seconds 100   a recording of your own
   heartian bench avatar --steps 3000 --gaussians 14000 --json
+  heartian bench avatar --device gpu --size 512 --sides 512 --steps 3000 --gaussians 14000
+                                                        images/s of training and frames/s of rendering on a GPU
 
 Every fit has a plan of its own length: rates fall and Gaussians are placed over all of it. PSNR and SSIM are those of the
-held-out frames, the last 15 % of the recording. avatar.json, avatar.txt and avatar.png (error over training seconds) are
+held-out frames, the last 15 % of the recording. images/s is over the last part of a fit, at full size, after the last
+density round. Frames/s of rendering count what it takes to have them in memory as the clip stores them. avatar.json, avatar.txt and avatar.png (error over training seconds) are
 left in the folder of the results; the recording and its track are cached.")]
 pub struct AvatarBench {
     /// `synthetic`, or a video file
@@ -59,6 +65,9 @@ pub struct AvatarBench {
     /// Sides of the pictures that are rendered, pixels
     #[arg(long, value_name = "PIXELS", value_delimiter = ',', default_values_t = [128, 256, 512, 1024])]
     pub sides: Vec<usize>,
+    /// What fits and renders: `auto`, `cpu` or `gpu`
+    #[arg(long, value_name = "DEVICE", default_value_t = Device::Cpu)]
+    pub device: Device,
     /// Print one JSON object and nothing else
     #[arg(long)]
     pub json: bool,
@@ -76,6 +85,8 @@ struct Fitted {
     gaussians: usize,
     seconds: f64,
     held_out: Score,
+    /// Steps a second at full size, after the last density round.
+    images_per_second: f64,
     /// (seconds, live training PSNR in decibels).
     live: Vec<(f64, f64)>,
     avatar: Avatar,
@@ -92,32 +103,42 @@ struct Rate {
 pub fn run(arguments: &AvatarBench) -> Result<ExitCode> {
     let session = Session::open(&arguments.host)?;
     std::fs::create_dir_all(&arguments.out).into_diagnostic()?;
+    let gpu = Gpu::open(arguments.device).into_diagnostic()?;
+    let device = gpu.as_ref().map_or("cpu", |gpu| &gpu.report().name);
+    if gpu.as_ref().is_some_and(|gpu| gpu.report().is_software) {
+        eprintln!("  {device} is a software adapter: what follows says nothing of a GPU");
+    }
     let (clip, track) = recording(&session, arguments)?;
     let largest = arguments.gaussians.last().copied().unwrap_or(TrainOptions::default().gaussians);
     let mut fits = Vec::new();
     for &steps in &arguments.steps {
-        fits.push(fit(&clip, &track, steps, largest)?);
+        fits.push(fit(&clip, &track, [steps as usize, largest], arguments.device)?);
     }
     let Some(last) = fits.last() else { return Err(miette!("give at least one length of a fit")) };
-    let stages = step_cost(&last.avatar, &clip, FRAMES).into_diagnostic()?;
+    // What a stage costs is the CPU's: on a device they are one submission.
+    let stages = match gpu {
+        None => step_cost(&last.avatar, &clip, FRAMES).into_diagnostic()?.to_vec(),
+        Some(_) => Vec::new(),
+    };
     let mut rates = Vec::new();
     for &gaussians in &arguments.gaussians {
-        let own = (gaussians != largest).then(|| fit(&clip, &track, last.steps.min(750), gaussians)).transpose()?;
+        let short = [last.steps.min(750) as usize, gaussians];
+        let own = (gaussians != largest).then(|| fit(&clip, &track, short, arguments.device)).transpose()?;
         let avatar = own.as_ref().map_or(&last.avatar, |fit| &fit.avatar);
         for &side in &arguments.sides {
-            rates.push(rate(avatar, &track, side)?);
+            rates.push(rate(avatar, &track, side, gpu.as_ref())?);
         }
     }
     session.terminal.finish();
     let bytes = state_bytes_per_gaussian(last.avatar.canonical.modes);
     let report = json!({
-        "source": arguments.source, "frames": clip.len(), "size": arguments.size,
+        "source": arguments.source, "frames": clip.len(), "size": arguments.size, "device": device,
         "fits": fits.iter().map(Fitted::json).collect::<Vec<_>>(),
-        "step_seconds": STAGES.iter().zip(stages).map(|(name, s)| ((*name).to_owned(), json!(s))).collect::<serde_json::Map<_, _>>(),
+        "step_seconds": STAGES.iter().zip(&stages).map(|(name, s)| ((*name).to_owned(), json!(s))).collect::<serde_json::Map<_, _>>(),
         "motion_modes": last.avatar.canonical.modes, "state_bytes_per_gaussian": bytes,
         "rendering": rates.iter().map(|r| json!({"gaussians": r.gaussians, "side": r.side, "frames_per_second": r.frames_per_second})).collect::<Vec<_>>(),
     });
-    let text = text(&fits, &stages, &rates, (last.avatar.canonical.modes, bytes));
+    let text = format!("on {device}\n\n{}", text(&fits, &stages, &rates, (last.avatar.canonical.modes, bytes)));
     write(arguments, "avatar.json", serde_json::to_string_pretty(&report).into_diagnostic()?.as_bytes())?;
     write(arguments, "avatar.txt", text.as_bytes())?;
     let figure = trade_off_figure(&points(&fits), "root mean square error of the picture, peak 1").into_diagnostic()?;
@@ -155,33 +176,41 @@ fn recording(session: &Session, arguments: &AvatarBench) -> Result<(Arc<Clip>, A
     Ok((clip, track))
 }
 
-fn fit(clip: &Clip, track: &Track, steps: u32, gaussians: usize) -> Result<Fitted> {
+/// A fit of some steps and at most so many Gaussians.
+fn fit(clip: &Clip, track: &Track, [steps, gaussians]: [usize; 2], device: Device) -> Result<Fitted> {
     eprintln!("  {steps} steps, {gaussians} Gaussians");
-    let options = TrainOptions { steps, gaussians, ..TrainOptions::default() };
-    let (start, mut live) = (Instant::now(), Vec::new());
+    let options = TrainOptions { steps: steps as u32, gaussians, device, ..TrainOptions::default() };
+    let (start, mut live, mut last_part) = (Instant::now(), Vec::new(), None);
     let mut watch = |progress: Progress| {
+        let seconds = start.elapsed().as_secs_f64();
+        if progress.step * 100 >= progress.total * SETTLED_PERCENT {
+            let (first, _) = *last_part.get_or_insert(((progress.step, seconds), (progress.step, seconds)));
+            last_part = Some((first, (progress.step, seconds)));
+        }
         if let Some((_, psnr_db)) =
             progress.metric.filter(|_| progress.step.is_multiple_of((progress.total / 50).max(1)))
         {
-            live.push((start.elapsed().as_secs_f64(), psnr_db));
+            live.push((seconds, psnr_db));
         }
         ControlFlow::Continue(())
     };
     let (avatar, report) = train(clip, track, &options, &mut watch).into_diagnostic()?;
     let seconds = live.last().map_or_else(|| start.elapsed().as_secs_f64(), |(seconds, _)| *seconds);
     let held_out = report.held_out.unwrap_or(report.training);
-    Ok(Fitted { steps: report.steps, gaussians: report.gaussians, seconds, held_out, live, avatar })
+    let images_per_second =
+        last_part.map_or(0.0, |((from, start), (to, end))| (to - from) as f64 / (end - start).max(1e-9));
+    Ok(Fitted { steps: report.steps, gaussians: report.gaussians, seconds, held_out, images_per_second, live, avatar })
 }
 
-/// Pictures a second of the avatar on the start of its track, shading and encoding included, on all cores.
-fn rate(avatar: &Avatar, track: &Track, side: usize) -> Result<Rate> {
+/// Pictures a second of the avatar on the start of its track, shading and encoding included, on all cores or a device.
+fn rate(avatar: &Avatar, track: &Track, side: usize, gpu: Option<&Arc<Gpu>>) -> Result<Rate> {
     let count = track.frames.len().min(FRAMES);
     let track = Track {
         frames: track.frames[..count].to_vec(),
         times_seconds: track.times_seconds[..count].to_vec(),
         ..track.clone()
     };
-    let options = RenderOptions { label: "timed", size: Some(side), ..RenderOptions::default() };
+    let options = RenderOptions { label: "timed", size: Some(side), gpu, ..RenderOptions::default() };
     let mut best = f64::INFINITY;
     for _ in 0..3 {
         let start = Instant::now();
@@ -195,6 +224,7 @@ impl Fitted {
     fn json(&self) -> Value {
         json!({
             "steps": self.steps, "gaussians": self.gaussians, "seconds": self.seconds,
+            "images_per_second": self.images_per_second,
             "held_out_psnr_db": self.held_out.psnr_db, "held_out_ssim": self.held_out.ssim,
             "live": self.live.iter().map(|(seconds, psnr_db)| json!([seconds, psnr_db])).collect::<Vec<_>>(),
         })
@@ -220,21 +250,22 @@ fn points(fits: &[Fitted]) -> Vec<TradeOff> {
 }
 
 fn text(fits: &[Fitted], stages: &[f64], rates: &[Rate], (modes, bytes): (usize, usize)) -> String {
-    let mut rows = vec![["fit", "Gaussians", "seconds", "held out dB", "SSIM"].map(str::to_owned).to_vec()];
+    let mut rows = vec![["fit", "Gaussians", "seconds", "images/s", "held out dB", "SSIM"].map(str::to_owned).to_vec()];
     rows.extend(fits.iter().map(|fit| {
         vec![
             format!("{} steps", fit.steps),
             fit.gaussians.to_string(),
             format!("{:.1}", fit.seconds),
+            format!("{:.1}", fit.images_per_second),
             format!("{:.2}", fit.held_out.psnr_db),
             format!("{:.4}", fit.held_out.ssim),
         ]
     }));
-    let fitted = table(&rows, &[false, true, true, true, true]);
+    let fitted = table(&rows, &[false, true, true, true, true, true]);
     let mut rows = vec![["a step", "ms"].map(str::to_owned).to_vec()];
-    rows.extend(STAGES.iter().zip(stages).map(|(name, s)| vec![(*name).to_owned(), format!("{:.2}", 1e3 * s)]));
+    rows.extend(STAGES.iter().zip(&stages).map(|(name, s)| vec![(*name).to_owned(), format!("{:.2}", 1e3 * s)]));
     rows.push(vec!["all".to_owned(), format!("{:.2}", 1e3 * stages.iter().sum::<f64>())]);
-    let step = table(&rows, &[false, true]);
+    let step = if stages.is_empty() { String::new() } else { table(&rows, &[false, true]) };
     let mut rows = vec![["rendering", "side px", "frames/s"].map(str::to_owned).to_vec()];
     rows.extend(rates.iter().map(|rate| {
         vec![format!("{} Gaussians", rate.gaussians), rate.side.to_string(), format!("{:.1}", rate.frames_per_second)]

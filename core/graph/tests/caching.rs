@@ -50,6 +50,24 @@ fn names_and_order_are_not_in_the_key() {
     assert_eq!(bench.run(&swapped).statuses(), "a:hit b:hit c:hit d:ran");
 }
 
+/// Results of two devices never share a record; whatever comes to the CPU shares the CPU's.
+#[test]
+fn what_the_machine_decides_about_the_bits_is_in_the_key_and_nothing_else_of_the_device() {
+    let bench = Bench::new();
+    let graph = r#"Graph(name: "devices", nodes: {
+        "a": (kind: "Devised"),
+        "b": (kind: "Add", inputs: {"numbers": "a.numbers"}),
+    })"#;
+    let run = |set: &[&str]| bench.run_with(graph, set, &RunOptions::default()).statuses();
+    assert_eq!(run(&[]), "a:ran b:ran");
+    // The same bytes come out, so what reads them is cut off.
+    assert_eq!(run(&["a.device=\"one\""]), "a:ran b:hit");
+    assert_eq!(run(&["a.device=\"another\""]), "a:ran b:hit");
+    for again in ["a.device=\"one\"", "a.device=\"another\"", "a.device=\"auto\"", "a.device=None"] {
+        assert_eq!(run(&[again]), "a:hit b:hit", "{again}");
+    }
+}
+
 #[test]
 fn only_what_a_target_needs_runs() {
     let bench = Bench::new();

@@ -8,6 +8,9 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+/// What stands before every kernel's WGSL: guards, and the rows of large dispatches.
+pub const KERNEL_PRELUDE: &str = concat!("const G: u32 = 1u;\n", include_str!("gpu/common.wgsl"), "\n");
+
 /// What a renderer or a trainer is asked to run on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Device {

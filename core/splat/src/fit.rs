@@ -1,5 +1,8 @@
 //! What one step of a fit is asked for and gives, on whatever device it is made.
 
+use heartian_space::Camera;
+
+use crate::adam::AdamOptions;
 use crate::gaussians::SceneGradients;
 use crate::loss::{Photometric, PhotometricWeights};
 
@@ -29,4 +32,54 @@ pub struct FitStep {
     pub gradients: SceneGradients,
     /// With respect to the light's coefficients; empty without a light.
     pub radiance: Vec<[f32; 3]>,
+}
+
+/// A fit that stays on a device.
+#[derive(Clone, Copy, Debug)]
+pub struct FitShape<'a> {
+    /// Gaussians.
+    pub count: usize,
+    /// What films them.
+    pub camera: &'a Camera,
+    /// Whether features are materials (eight, see [`crate::channel`]) under a light, or linear colour (three).
+    pub is_lit: bool,
+    /// Of the picture's loss.
+    pub weights: PhotometricWeights,
+    /// Of alpha's mean squared error.
+    pub mask_weight: f32,
+    /// (Gaussian, tile) entries to make room for at first, where a guess by the number of Gaussians will not do.
+    pub room: Option<usize>,
+}
+
+/// What a step of such a fit says of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// Mean squared error of the encoded picture, held in [0, 1].
+    pub squared_error: f64,
+    /// (Gaussian, tile) entries that the picture asked for.
+    pub entries: usize,
+    /// Whether the step changed nothing, because its entries or those of a step before had no room.
+    pub is_stopped: bool,
+}
+
+/// Parameters that move at one rate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamGroup {
+    /// How many.
+    pub count: usize,
+    /// Values are held here after each step: least and largest.
+    pub range: [f32; 2],
+}
+
+/// One step of the light: what [`crate::Adam`] is told, and how far the bands above the mean are kept afterwards.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightRate {
+    /// Steps taken, this one included.
+    pub steps: u32,
+    /// Learning rate.
+    pub rate: f32,
+    /// Factor on bands 1 and higher.
+    pub keep: f32,
+    /// Decay rates and guard.
+    pub options: AdamOptions,
 }

@@ -8,12 +8,16 @@
 mod arena;
 mod device;
 mod fit;
+mod frames;
+mod kernel;
 mod light;
 mod optimiser;
 mod params;
+mod planes;
 mod present;
 mod program;
 mod raster;
+mod resident;
 mod scene;
 mod sort;
 mod timing;
@@ -23,6 +27,9 @@ mod tests;
 
 pub use device::{Gpu, adapters};
 pub use fit::GpuFitter;
+pub use frames::GpuFrames;
+pub use kernel::{GpuBuffer, GpuCall, GpuKernels, GpuReading};
 pub use optimiser::GpuAdam;
 pub use present::GpuPresenter;
 pub use raster::GpuRasteriser;
+pub use resident::GpuScene;

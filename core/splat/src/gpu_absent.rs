@@ -1,6 +1,8 @@
 //! What stands for the GPU twin in a program built without it (`--no-default-features`): there is no device, and who
 //! asks for one is told so.
 
+mod resident;
+
 use std::sync::Arc;
 
 use heartian_space::Camera;
@@ -12,6 +14,8 @@ use crate::fit::{FitStep, FitTarget};
 use crate::gaussians::{Gaussians, SceneGradients};
 use crate::project::RasterOptions;
 use crate::render::{Frame, FrameGradient};
+
+pub use resident::{GpuAdam, GpuBuffer, GpuCall, GpuFrames, GpuKernels, GpuReading, GpuScene};
 
 /// No adapters.
 pub fn adapters() -> Vec<AdapterReport> {
@@ -44,6 +48,11 @@ impl Gpu {
 
     /// What this is.
     pub fn report(&self) -> &AdapterReport {
+        match *self {}
+    }
+
+    /// As the twin's.
+    pub fn start_reading(&self, _: &[&GpuBuffer]) -> GpuReading {
         match *self {}
     }
 }

@@ -37,16 +37,22 @@ mod tests;
 
 pub use adam::{Adam, AdamOptions};
 pub use blend_weights::{Csr, blend_weights};
-pub use device::{AdapterReport, Device};
+pub use device::{AdapterReport, Device, KERNEL_PRELUDE};
 pub use environment::{Environment, RADIANCE_COEFFICIENTS};
 pub use error::SplatError;
-pub use fit::{FitStep, FitTarget};
+pub use fit::{AdamGroup, FitShape, FitStep, FitTarget, LightRate, StepReport};
 pub use gather::backward;
 pub use gaussians::{Activated, Gaussians, MAX_CHANNELS, RawGaussians, SceneGradients, logit, sigmoid};
 #[cfg(feature = "gpu")]
-pub use gpu::{Gpu, GpuAdam, GpuFitter, GpuPresenter, GpuRasteriser, adapters};
+pub use gpu::{
+    Gpu, GpuAdam, GpuBuffer, GpuCall, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading,
+    GpuScene, adapters,
+};
 #[cfg(not(feature = "gpu"))]
-pub use gpu_absent::{Gpu, GpuFitter, GpuPresenter, GpuRasteriser, adapters};
+pub use gpu_absent::{
+    Gpu, GpuAdam, GpuBuffer, GpuCall, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading,
+    GpuScene, adapters,
+};
 pub use lanes::{SimdLevel, simd_level};
 pub use light_file::{LightImage, light_from_file};
 pub use loss::{Photometric, PhotometricWeights, mask_loss, mean_absolute_error, photometric, psnr};

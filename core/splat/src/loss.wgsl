@@ -7,7 +7,8 @@ struct Weights {
     l1: f32,
     dssim: f32,
     mask: f32,
-    spare: f32,
+    // Where the step is reported.
+    slot: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -23,7 +24,11 @@ struct Weights {
 @group(0) @binding(6) var<storage, read_write> on_image: array<vec4f>;
 // A tile's sums: absolute error, squared error (image held in [0, 1]), similarity, squared error of alpha.
 @group(0) @binding(7) var<storage, read_write> sums: array<vec4f>;
-@group(0) @binding(8) var<storage, read_write> losses: array<vec4f>;
+// Two of four a step: the bits of the means of `sums`; entries wanted, and whether updates have stopped.
+@group(0) @binding(8) var<storage, read_write> reports: array<vec4u>;
+@group(0) @binding(9) var<storage, read> totals: array<u32>;
+// Set by the first step whose entries had no room, for good: nothing that it or later steps would change is changed.
+@group(0) @binding(10) var<storage, read_write> status: array<u32>;
 
 const RADIUS: u32 = 5u;
 const WINDOW = array<f32, 11>(
@@ -167,6 +172,10 @@ fn total(@builtin(local_invocation_index) lane: u32) {
     }
     let sum = sum_of_lanes(lane, own);
     if lane == 0u {
-        losses[0] = sum / f32(pixels());
+        if totals[WANTED] > params.capacity {
+            status[0] = 1u;
+        }
+        reports[2u * weights.slot] = bitcast<vec4u>(sum / f32(pixels()));
+        reports[2u * weights.slot + 1u] = vec4u(totals[WANTED], status[0], 0u, 0u);
     }
 }

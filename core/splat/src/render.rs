@@ -186,7 +186,7 @@ pub(crate) fn check_scene(
     Ok(channels)
 }
 
-fn check_camera(camera: &Camera) -> Result<(), SplatError> {
+pub(crate) fn check_camera(camera: &Camera) -> Result<(), SplatError> {
     let finite = camera.focal_px.iter().chain(&camera.principal_px).chain(&camera.translation).all(|v| v.is_finite())
         && camera.rotation.as_flattened().iter().all(|v| v.is_finite());
     if camera.width == 0 || camera.height == 0 {

@@ -5,8 +5,8 @@
 //! their neighbours, and a small one of the light's higher bands to zero.
 
 use heartian_splat::{
-    Adam, AdamOptions, Environment, FitTarget, FrameGradient, GpuFitter, PhotometricWeights, mask_loss, photometric,
-    shade, shade_backward, srgb_encode, srgb_encode_backward,
+    Adam, AdamOptions, Environment, FrameGradient, LightRate, PhotometricWeights, mask_loss, photometric, shade,
+    shade_backward, srgb_encode, srgb_encode_backward,
 };
 
 use super::targets::{Level, Target};
@@ -16,7 +16,7 @@ use crate::deform::Motion;
 use crate::picture::{Features, PictureGradient, Scene};
 
 /// Weight of the matte's mean absolute error.
-const MASK_WEIGHT: f32 = 0.2;
+pub(super) const MASK_WEIGHT: f32 = 0.2;
 /// Rate of the light's coefficients at the start.
 const LIGHT_RATE: f32 = 3e-3;
 /// How the light moves.
@@ -77,28 +77,6 @@ impl Appearance {
         self.light.as_ref().map_or_else(|| Environment::uniform([1.0; 3]), |light| light.environment.clone())
     }
 
-    /// [`Self::step`], but for deformation, on a device.
-    pub fn step_on(
-        &mut self,
-        fitter: &mut GpuFitter,
-        (canonical, motion): (&Canonical, &Motion),
-        (level, decay): (&Level, f32),
-        target: &Target,
-        gradient: &mut Canonical,
-    ) -> Result<(StepLoss, PictureGradient), AvatarError> {
-        let kind = if self.is_unshaded() { Features::Albedo } else { Features::Materials };
-        let scene = Scene::new(canonical, motion, &level.camera, kind);
-        let weights = PhotometricWeights::default();
-        let target = FitTarget { rgb: &target.rgb, alpha: &target.alpha, weights, mask_weight: MASK_WEIGHT };
-        let environment = self.light.as_ref().map(|light| &light.environment);
-        let made = fitter.step(&scene.gaussians(), &level.camera, environment, &target)?;
-        if let Some(light) = &mut self.light {
-            light.step(&made.radiance, decay)?;
-        }
-        let pulled = scene.backward(made.gradients, canonical, motion, gradient);
-        Ok((StepLoss { squared_error: made.squared_error }, pulled))
-    }
-
     /// Renders, compares and pulls back: *adds* to `gradient` and moves the light by `decay` times its rate.
     pub fn step(
         &mut self,
@@ -142,13 +120,19 @@ impl Appearance {
     }
 }
 
+/// What step number `steps` of the light is.
+pub(super) fn light_rate(steps: u32, decay: f32) -> LightRate {
+    let rate = LIGHT_RATE * decay;
+    LightRate { steps, rate, keep: 1.0 - LIGHT_DECAY * rate / LIGHT_RATE, options: LIGHT_ADAM }
+}
+
 impl Light {
     fn step(&mut self, gradient: &[[f32; 3]], decay: f32) -> Result<(), AvatarError> {
-        let rate = LIGHT_RATE * decay;
+        let LightRate { rate, keep, .. } = light_rate(self.adam.steps() + 1, decay);
         let radiance = self.environment.radiance.as_flattened_mut();
         self.adam.step(radiance, gradient.as_flattened(), rate)?;
         for coefficient in radiance.iter_mut().skip(3) {
-            *coefficient *= 1.0 - LIGHT_DECAY * rate / LIGHT_RATE;
+            *coefficient *= keep;
         }
         Ok(())
     }

@@ -15,6 +15,9 @@ use crate::coherent::Neighbours;
 use crate::density::Statistics;
 use crate::optimiser::{Optimiser, options};
 
+/// Forgetting of the live figure.
+const LIVE: f64 = 0.98;
+
 /// Where the loop over the steps is.
 #[derive(Clone, Debug)]
 pub(super) struct Course {
@@ -25,6 +28,21 @@ pub(super) struct Course {
     pub live: [f64; 2],
     /// (step, live training PSNR in decibels).
     pub history: Vec<(u32, f64)>,
+}
+
+impl Course {
+    /// Takes the mean squared error of a step; every `every` steps becomes a point of the history.
+    pub fn note(&mut self, step: u32, squared_error: f64, every: u32) {
+        self.live = [LIVE * self.live[0] + (1.0 - LIVE) * squared_error, LIVE * self.live[1] + (1.0 - LIVE)];
+        if (step + 1).is_multiple_of(every) {
+            self.history.push((step + 1, self.psnr_db().unwrap_or_default()));
+        }
+    }
+
+    /// The live figure; nothing before the first step was noted.
+    pub fn psnr_db(&self) -> Option<f64> {
+        (self.live[1] > 0.0).then(|| -10.0 * (self.live[0] / self.live[1]).max(1e-12).log10())
+    }
 }
 
 /// The state.

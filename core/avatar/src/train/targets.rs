@@ -15,6 +15,8 @@ pub(crate) struct Target {
 pub(crate) struct Level {
     /// Source pixels along each side of one pixel, 1 or 2.
     pub factor: usize,
+    /// Pixels of a source's row.
+    pub source_width: usize,
     /// The camera at this resolution.
     pub camera: Camera,
 }
@@ -22,7 +24,7 @@ pub(crate) struct Level {
 impl Level {
     /// Full or half resolution. An odd last row or column is dropped at half resolution.
     pub fn new(camera: &Camera, factor: usize) -> Self {
-        let (width, height) = (camera.width / factor, camera.height / factor);
+        let (width, height, source_width) = (camera.width / factor, camera.height / factor, camera.width);
         let scale = 1.0 / factor as f32;
         let camera = Camera {
             width,
@@ -31,7 +33,7 @@ impl Level {
             principal_px: camera.principal_px.map(|p| p * scale),
             ..*camera
         };
-        Self { factor, camera }
+        Self { factor, source_width, camera }
     }
 
     /// One frame at this resolution, box-filtered in the encoding it is compared in.

@@ -14,6 +14,9 @@ use crate::error::SplatError;
 /// The APIs that are looked through.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
 
+/// Raised when kernels, or what a device is given to do, change the bits of results: records of before are not found then.
+const KERNELS: u32 = 2;
+
 /// The machine's adapters, those that are preferred first.
 pub fn adapters() -> Vec<AdapterReport> {
     let mut reports: Vec<AdapterReport> = ranked().iter().map(report).collect();
@@ -66,7 +69,7 @@ impl Gpu {
             return None;
         }
         let adapter = ADAPTERS.get_or_init(adapters).iter().find(|adapter| adapter.suits(device))?;
-        Some(format!("{} {} {}", adapter.backend, adapter.name, adapter.driver))
+        Some(format!("{} {} {}, kernels {KERNELS}", adapter.backend, adapter.name, adapter.driver))
     }
 
     fn from_adapter(adapter: &wgpu::Adapter) -> Result<Self, SplatError> {

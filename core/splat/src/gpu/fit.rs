@@ -1,6 +1,7 @@
 //! One step of a fit on a device, in one submission: picture, shading, encoding, loss, and the way back to the gradients
 //! of the scene and of the light. What the CPU does with `render`, `shade`, `srgb_encode`, `photometric`, `mask_loss` and
-//! their backward halves. Scenes go there and gradients come back; pictures never leave the device.
+//! their backward halves. Scenes go there and gradients come back, or both stay there too (`resident.rs`); pictures never
+//! leave the device.
 
 use std::sync::Arc;
 
@@ -25,30 +26,35 @@ use crate::shade::DEFERRED_CHANNELS;
 const COLORS: usize = 3;
 /// How often a list that does not fit is given more room.
 const TRIES: usize = 4;
+/// Words of a step's report; see `total` of `loss.wgsl`.
+pub(super) const REPORT_WORDS: usize = 8;
 
 /// Makes steps on a device.
 #[derive(Debug)]
 pub struct GpuFitter {
-    gpu: Arc<Gpu>,
-    raster: GpuRasteriser,
-    lighting: Lighting,
-    weights: wgpu::Buffer,
-    buffers: Buffers,
-    recording: Recording,
+    pub(super) gpu: Arc<Gpu>,
+    pub(super) raster: GpuRasteriser,
+    pub(super) lighting: Lighting,
+    pub(super) weights: wgpu::Buffer,
+    pub(super) buffers: Buffers,
+    pub(super) recording: Recording,
+    /// The light's step, made apart from the others.
+    pub(super) light_step: Recording,
 }
 
 #[derive(Debug)]
-struct Buffers {
+pub(super) struct Buffers {
     linear: Store,
     image: Store,
-    wanted: Store,
+    pub wanted: Store,
     maps: Store,
     slopes: Store,
     on_image: Store,
     sums: Store,
-    losses: Store,
+    pub reports: Store,
+    pub status: Store,
     on_light: Store,
-    on_radiance: Store,
+    pub on_radiance: Store,
 }
 
 impl Buffers {
@@ -62,7 +68,8 @@ impl Buffers {
             slopes: new("the similarity's slopes"),
             on_image: new("the image's gradient"),
             sums: new("the losses of the tiles"),
-            losses: new("the losses"),
+            reports: new("the losses"),
+            status: new("the losses"),
             on_light: new("the light's gradient in the tiles"),
             on_radiance: new("the light's gradient"),
         }
@@ -77,7 +84,8 @@ impl Buffers {
             (&mut self.slopes, 3 * 4 * pixels),
             (&mut self.on_image, 4 * pixels),
             (&mut self.sums, 4 * tiles),
-            (&mut self.losses, 4),
+            (&mut self.reports, REPORT_WORDS * GpuFitter::REPORTS),
+            (&mut self.status, 1),
             (&mut self.on_light, 4 * COUNT * tiles),
             (&mut self.on_radiance, 4 * COUNT),
         ];
@@ -102,6 +110,7 @@ impl GpuFitter {
             weights: uniform(gpu, bytemuck::bytes_of(&LossWeights::default())),
             buffers: Buffers::new(),
             recording: Recording::default(),
+            light_step: Recording::default(),
         })
     }
 
@@ -128,14 +137,12 @@ impl GpuFitter {
         for _ in 0..TRIES {
             self.prepare(gaussians, camera, target)?;
             let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            self.raster.encode_forward(&mut encoder)?;
-            self.recording.replay(&mut encoder, self.raster.dispatches()?);
-            self.raster.encode_backward(&mut encoder)?;
+            self.encode(&mut encoder)?;
             self.gpu.queue.submit([encoder.finish()]);
             let [geometry, channels] = self.raster.gradient_parts()?;
             let parts = self.gpu.read(&[
                 (self.raster.totals()?, 16),
-                (self.buffers.losses.get()?, 16),
+                (self.buffers.reports.get()?, 16),
                 (self.buffers.on_radiance.get()?, 16 * COUNT as u64),
                 geometry,
                 channels,
@@ -147,29 +154,43 @@ impl GpuFitter {
         Err(self.gpu.error("the list of tile entries does not settle; run with --device cpu"))
     }
 
+    /// Everything from the scene's values to its gradients.
+    pub(super) fn encode(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), SplatError> {
+        self.raster.encode_forward(encoder)?;
+        self.recording.replay(encoder, Some(self.raster.dispatches()?));
+        self.raster.encode_backward(encoder)
+    }
+
     /// Brings scene, target and constants to the device, and records the dispatches where buffers changed.
     fn prepare(&mut self, gaussians: &Gaussians, camera: &Camera, target: &FitTarget<'_>) -> Result<(), SplatError> {
         let pixels = camera.width * camera.height;
-        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
-        let changed = self.raster.take(gaussians, camera, &RasterOptions::default())? | self.raster.ready_backward()?;
-        let others = self.buffers.ensure(&self.gpu, pixels, grid[0] * grid[1])?;
-        if changed || others || self.recording.is_empty() {
-            self.record(grid, gaussians.channels)?;
-        }
+        let changed = self.raster.take(gaussians, camera, &RasterOptions::default())?;
+        self.ready(camera, gaussians.channels, changed)?;
         let wanted: Vec<[f32; 4]> = (0..pixels)
             .map(|i| [target.rgb[i], target.rgb[pixels + i], target.rgb[2 * pixels + i], target.alpha[i]])
             .collect();
-        let each = 1.0 / pixels as f32;
-        let weights = LossWeights {
-            l1: target.weights.l1 * each / 3.0,
-            dssim: target.weights.dssim * each / 3.0,
-            mask: target.mask_weight * each,
-            spare: 0.0,
-        };
-        let queue = &self.gpu.queue;
-        queue.write_buffer(self.buffers.wanted.get()?, 0, bytemuck::cast_slice(&wanted));
-        queue.write_buffer(&self.weights, 0, bytemuck::bytes_of(&weights));
+        self.gpu.queue.write_buffer(self.buffers.wanted.get()?, 0, bytemuck::cast_slice(&wanted));
+        self.set_weights(pixels, target.weights, target.mask_weight);
         Ok(())
+    }
+
+    /// Room for pictures and losses, and their dispatches where the scene's buffers, or these, are others than before.
+    pub(super) fn ready(&mut self, camera: &Camera, features: usize, changed: bool) -> Result<(), SplatError> {
+        let pixels = camera.width * camera.height;
+        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
+        let changed = changed | self.raster.ready_backward()?;
+        let others = self.buffers.ensure(&self.gpu, pixels, grid[0] * grid[1])?;
+        if changed || others || self.recording.is_empty() {
+            self.record(grid, features)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn set_weights(&self, pixels: usize, weights: PhotometricWeights, mask: f32) {
+        let each = 1.0 / pixels as f32;
+        let (l1, dssim) = (weights.l1 * each / 3.0, weights.dssim * each / 3.0);
+        let weights = LossWeights { l1, dssim, mask: mask * each, slot: 0 };
+        self.gpu.queue.write_buffer(&self.weights, 0, bytemuck::bytes_of(&weights));
     }
 
     fn record(&mut self, grid: [usize; 2], features: usize) -> Result<(), SplatError> {
@@ -194,7 +215,9 @@ impl GpuFitter {
         let sums = (7, b.sums.get()?);
         let bindings = [params, weights, from, wanted, maps, slopes, (6, on_image), sums];
         add(Source::Loss, "differentiate", &bindings, over_pixels);
-        add(Source::Loss, "total", &[params, sums, (8, b.losses.get()?)], Groups::Linear(1));
+        let bindings =
+            [params, weights, sums, (8, b.reports.get()?), (9, self.raster.totals()?), (10, b.status.get()?)];
+        add(Source::Loss, "total", &bindings, Groups::Linear(1));
         let gradient = (8, self.raster.gradient()?);
         let on_light = (9, b.on_light.get()?);
         let bindings = [params, light, tables, picture, linear, (7, on_image), gradient, on_light];
@@ -203,7 +226,9 @@ impl GpuFitter {
             let bindings = [params, on_light, (10, b.on_radiance.get()?)];
             add(Source::Shade, "sum_light", &bindings, Groups::Linear(COUNT as u32));
         }
-        self.recording = recording;
+        let mut light_step = Recording::default();
+        self.lighting.record(&self.gpu, &mut light_step, [b.on_radiance.get()?, b.status.get()?])?;
+        (self.recording, self.light_step) = (recording, light_step);
         self.gpu.check()
     }
 

@@ -1,87 +1,97 @@
-//! Adam on a device: parameters, gradients and moments stay there. Twin of [`crate::Adam`].
+//! Adam on a device: groups of parameters, their gradients and moments stay there. Twin of [`crate::Adam`].
 
 use std::sync::Arc;
 
-use super::arena::{Store, uniform};
 use super::device::Gpu;
-use super::params::AdamStep;
-use super::program::{Call, Groups, Recording, Source};
+use super::kernel::{GpuBuffer, GpuKernels};
+use super::params::{AdamStep, MOST_GROUPS};
+use super::program::{Call, Groups, Source};
 use crate::adam::{AdamOptions, corrected_rates};
 use crate::error::{SplatError, expect_length};
+use crate::fit::AdamGroup;
 
-/// Parameters of one group with their moments, on a device.
+/// Groups of parameters, one after another in one buffer, with their gradients and moments, on a device.
 #[derive(Debug)]
 pub struct GpuAdam {
     gpu: Arc<Gpu>,
     options: AdamOptions,
-    /// Values are held here after each step.
-    range: [f32; 2],
-    count: usize,
-    steps: u32,
-    constants: wgpu::Buffer,
-    parameters: Store,
-    gradients: Store,
-    moments: Store,
-    recording: Recording,
+    groups: Vec<AdamGroup>,
+    constants: GpuBuffer,
+    parameters: GpuBuffer,
+    gradients: GpuBuffer,
+    moments: GpuBuffer,
 }
 
 impl GpuAdam {
-    /// Moments of zero for `parameters`, whose values are held in `range` after each step.
+    /// Parameters, gradients and moments of zero.
     ///
     /// # Errors
-    /// When the device cannot hold them.
-    pub fn new(gpu: &Arc<Gpu>, parameters: &[f32], range: [f32; 2], options: AdamOptions) -> Result<Self, SplatError> {
-        let mut own = Self {
+    /// When there are more than sixteen groups, or the device cannot hold them.
+    pub fn new(gpu: &Arc<Gpu>, groups: &[AdamGroup], options: AdamOptions) -> Result<Self, SplatError> {
+        if groups.len() > MOST_GROUPS {
+            let what = "the groups of parameters";
+            return Err(SplatError::Length { what, expected: MOST_GROUPS, found: groups.len() });
+        }
+        let count = groups.iter().map(|group| group.count).sum();
+        Ok(Self {
             gpu: Arc::clone(gpu),
             options,
-            range,
-            count: parameters.len(),
-            steps: 0,
-            constants: uniform(gpu, bytemuck::bytes_of(&AdamStep::default())),
-            parameters: Store::new("the parameters"),
-            gradients: Store::new("the parameters' gradients"),
-            moments: Store::new("the parameters' moments"),
-            recording: Recording::default(),
-        };
-        own.parameters.ensure(gpu, own.count)?;
-        own.gradients.ensure(gpu, own.count)?;
-        own.moments.ensure(gpu, 2 * own.count)?;
-        gpu.queue.write_buffer(own.parameters.get()?, 0, bytemuck::cast_slice(parameters));
-        let bindings =
-            [(0, &own.constants), (1, own.parameters.get()?), (2, own.gradients.get()?), (3, own.moments.get()?)];
-        let groups = Groups::Linear(own.count.div_ceil(256) as u32);
-        own.recording.add(gpu, 1, &Call { source: Source::Adam, entry: "descend", bindings: &bindings, groups });
-        gpu.check()?;
-        Ok(own)
+            groups: groups.to_vec(),
+            constants: GpuBuffer::constants(gpu, bytemuck::cast_slice(&[AdamStep::default()])),
+            parameters: GpuBuffer::new(gpu, "the parameters", count)?,
+            gradients: GpuBuffer::new(gpu, "the parameters' gradients", count)?,
+            moments: GpuBuffer::new(gpu, "the parameters' moments", 2 * count)?,
+        })
     }
 
-    /// One descent step; returns without waiting for the device.
+    /// The parameters, group after group.
+    pub fn parameters(&self) -> &GpuBuffer {
+        &self.parameters
+    }
+
+    /// Their gradients, which whoever knows them writes before a step.
+    pub fn gradients(&self) -> &GpuBuffer {
+        &self.gradients
+    }
+
+    /// All first moments, then all second ones.
+    pub fn moments(&self) -> &GpuBuffer {
+        &self.moments
+    }
+
+    /// What the next submission's step is: of each group the number of steps taken, this one included, and the rate. A
+    /// group of rate 0 is left alone.
     ///
     /// # Errors
-    /// When the lengths differ or the device failed.
-    pub fn step(&mut self, gradients: &[f32], learning_rate: f32) -> Result<(), SplatError> {
-        expect_length("the gradients", self.count, gradients.len())?;
-        self.steps = self.steps.saturating_add(1);
-        let [rate, guard] = corrected_rates(&self.options, self.steps, learning_rate);
+    /// When it is not said of every group.
+    pub fn set_rates(&self, rates: &[(u32, f32)]) -> Result<(), SplatError> {
+        expect_length("the rates", self.groups.len(), rates.len())?;
         let AdamOptions { beta1, beta2, .. } = self.options;
-        let [low, high] = self.range;
-        let step = AdamStep { beta1, beta2, rate, guard, low, high, count: self.count as u32, spare: 0 };
-        let queue = &self.gpu.queue;
-        queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&step));
-        queue.write_buffer(self.gradients.get()?, 0, bytemuck::cast_slice(gradients));
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        // No dispatch of this list is sized by the device.
-        self.recording.replay(&mut encoder, self.parameters.get()?);
-        queue.submit([encoder.finish()]);
-        self.gpu.check()
+        let (count, groups) = (self.parameters.words() as u32, self.groups.len() as u32);
+        let mut step = AdamStep { beta1, beta2, count, groups, ..AdamStep::default() };
+        let mut end = 0;
+        for (index, (group, (steps, learning_rate))) in self.groups.iter().zip(rates).enumerate() {
+            end += group.count;
+            step.ends[index] = end as u32;
+            if *learning_rate != 0.0 {
+                let [rate, guard] = corrected_rates(&self.options, (*steps).max(1), *learning_rate);
+                step.rates[index] = [rate, guard, group.range[0], group.range[1]];
+            }
+        }
+        self.constants.write(0, bytemuck::cast_slice(&[step]))
     }
 
-    /// The parameters now; waits for them.
+    /// Adds a step down the gradients to `kernels`; it is not made where the first word of `status` is set.
     ///
     /// # Errors
-    /// When the device failed.
-    pub fn parameters(&self) -> Result<Vec<f32>, SplatError> {
-        let parts = self.gpu.read(&[(self.parameters.get()?, 4 * self.count as u64)])?;
-        Ok(bytemuck::cast_slice(&parts[0]).to_vec())
+    /// When the device refused it.
+    pub fn record(&self, kernels: &mut GpuKernels, status: &GpuBuffer) -> Result<(), SplatError> {
+        let of = |buffer: &'_ GpuBuffer| buffer.buffer.clone();
+        let buffers = [&self.constants, &self.parameters, &self.gradients, &self.moments, status].map(of);
+        let bindings: Vec<(u32, &wgpu::Buffer)> = (0..).zip(&buffers).collect();
+        let groups = Groups::Linear(self.parameters.words().div_ceil(256) as u32);
+        let call = Call { source: Source::Adam, entry: "descend", bindings: &bindings, groups };
+        kernels.recording.add(&self.gpu, 1, &call);
+        self.gpu.check()
     }
 }

@@ -63,18 +63,31 @@ pub(crate) struct SortPass {
     pub indexed: u32,
 }
 
+/// Most groups of parameters of one optimiser; `rates` of `adam.wgsl`.
+pub(crate) const MOST_GROUPS: usize = 16;
+
 /// `Step` of `adam.wgsl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct AdamStep {
     pub beta1: f32,
     pub beta2: f32,
+    pub count: u32,
+    pub groups: u32,
+    pub ends: [u32; MOST_GROUPS],
+    pub rates: [[f32; 4]; MOST_GROUPS],
+}
+
+/// `LightStep` of `light.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct LightStep {
+    pub beta1: f32,
+    pub beta2: f32,
     pub rate: f32,
     pub guard: f32,
-    pub low: f32,
-    pub high: f32,
-    pub count: u32,
-    pub spare: u32,
+    pub keep: f32,
+    pub spare: [f32; 7],
 }
 
 /// `Weights` of `loss.wgsl`.
@@ -84,5 +97,5 @@ pub(crate) struct LossWeights {
     pub l1: f32,
     pub dssim: f32,
     pub mask: f32,
-    pub spare: f32,
+    pub slot: u32,
 }

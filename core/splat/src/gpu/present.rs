@@ -8,6 +8,7 @@ use heartian_space::Camera;
 
 use super::arena::Store;
 use super::device::Gpu;
+use super::kernel::{GpuBuffer, GpuKernels};
 use super::light::Lighting;
 use super::program::{Call, Groups, Recording, Source};
 use super::raster::{GpuRasteriser, WANTED};
@@ -15,6 +16,7 @@ use crate::environment::Environment;
 use crate::error::{SplatError, expect_length};
 use crate::gaussians::Gaussians;
 use crate::project::RasterOptions;
+use crate::render::check_camera;
 use crate::shade::DEFERRED_CHANNELS;
 
 /// Side of a workgroup of pixels.
@@ -30,6 +32,8 @@ pub struct GpuPresenter {
     linear: Store,
     image: Store,
     recording: Recording,
+    /// Of a frame.
+    pixels: usize,
     flying: VecDeque<Flight>,
 }
 
@@ -59,6 +63,7 @@ impl GpuPresenter {
             linear: Store::new("the shaded picture"),
             image: Store::new("the encoded picture"),
             recording: Recording::default(),
+            pixels: 0,
             flying: VecDeque::new(),
         })
     }
@@ -80,12 +85,46 @@ impl GpuPresenter {
     ) -> Result<(), SplatError> {
         expect_length("the features of a material", DEFERRED_CHANNELS, gaussians.channels)?;
         let changed = self.raster.take(gaussians, camera, &RasterOptions::default())?;
-        let pixels = camera.width * camera.height;
-        if self.codes.ensure(&self.gpu, pixels)? || changed || self.recording.is_empty() {
+        self.ready(camera, environment, changed)?;
+        self.launch(&[])
+    }
+
+    /// Makes room for `count` Gaussians of materials that kernels make; gives the buffers that they write, geometry and
+    /// features (see [`crate::GpuScene`]). They are others after every call.
+    ///
+    /// # Errors
+    /// When the camera is unusable, the light's coefficients are too few or many, or the device cannot hold the scene.
+    pub fn reserve(
+        &mut self,
+        count: usize,
+        camera: &Camera,
+        environment: &Environment,
+    ) -> Result<[GpuBuffer; 2], SplatError> {
+        check_camera(camera)?;
+        let changed = self.raster.reserve([count, DEFERRED_CHANNELS], camera, &RasterOptions::default(), None)?;
+        self.ready(camera, environment, changed)?;
+        let [geometry, features, ..] = self.raster.scene();
+        Ok([GpuBuffer::of(&self.gpu, geometry.0, geometry.1)?, GpuBuffer::of(&self.gpu, features.0, features.1)?])
+    }
+
+    /// Starts on a frame that kernels make in what [`GpuPresenter::reserve`] gave; does not wait for it.
+    ///
+    /// # Errors
+    /// When nothing was reserved, or the device failed.
+    pub fn submit_made(&mut self, before: &[&GpuKernels]) -> Result<(), SplatError> {
+        self.launch(before)
+    }
+
+    fn ready(&mut self, camera: &Camera, environment: &Environment, changed: bool) -> Result<(), SplatError> {
+        self.pixels = camera.width * camera.height;
+        if self.codes.ensure(&self.gpu, self.pixels)? || changed || self.recording.is_empty() {
             self.record(camera)?;
         }
-        self.lighting.set(&self.gpu, environment)?;
-        let bytes = 4 * pixels as u64;
+        self.lighting.set(&self.gpu, environment)
+    }
+
+    fn launch(&mut self, before: &[&GpuKernels]) -> Result<(), SplatError> {
+        let (pixels, bytes) = (self.pixels, 4 * self.pixels as u64);
         let staging = self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("a finished picture"),
             size: bytes + 16,
@@ -93,8 +132,9 @@ impl GpuPresenter {
             mapped_at_creation: false,
         });
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        before.iter().for_each(|kernels| kernels.recording.replay(&mut encoder, None));
         self.raster.encode_forward(&mut encoder)?;
-        self.recording.replay(&mut encoder, self.raster.dispatches()?);
+        self.recording.replay(&mut encoder, Some(self.raster.dispatches()?));
         encoder.copy_buffer_to_buffer(self.codes.get()?, 0, &staging, 0, bytes);
         encoder.copy_buffer_to_buffer(self.raster.totals()?, 0, &staging, bytes, 16);
         let submission = self.gpu.queue.submit([encoder.finish()]);
@@ -105,7 +145,8 @@ impl GpuPresenter {
     }
 
     /// The oldest frame in flight, `height × width` of red, green, blue and matte; waits for it. Nothing when its list of
-    /// entries had no room: more is made then, all frames in flight are dropped, and it and they must be submitted again.
+    /// entries had no room: more is made then, all frames in flight are dropped, and it and they must be submitted again
+    /// (and reserved anew).
     ///
     /// # Errors
     /// When no frame is in flight, or the device failed.
@@ -148,7 +189,7 @@ impl GpuPresenter {
         let linear = (4, self.linear.get()?);
         self.add(&mut recording, "shade", &[linear, (6, self.image.get()?)], camera)?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        recording.replay(&mut encoder, self.raster.dispatches()?);
+        recording.replay(&mut encoder, Some(self.raster.dispatches()?));
         self.gpu.queue.submit([encoder.finish()]);
         let parts = self.gpu.read(&[(linear.1, 16 * pixels as u64)])?;
         let values: &[[f32; 4]] = bytemuck::cast_slice(&parts[0]);

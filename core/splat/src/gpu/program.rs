@@ -1,7 +1,6 @@
 //! Kernels by name, and lists of dispatches that are made once and replayed every frame.
 
 use std::collections::HashMap;
-use std::num::NonZeroU64;
 use std::sync::PoisonError;
 
 use super::device::Gpu;
@@ -16,13 +15,16 @@ pub(crate) enum Source {
     Adam,
     Shade,
     Loss,
+    Light,
+    /// Of another crate.
+    Other(&'static str),
 }
 
 impl Source {
     /// All files.
     #[cfg(test)]
-    pub const ALL: [Self; 7] =
-        [Self::Project, Self::Bin, Self::Sort, Self::Raster, Self::Adam, Self::Shade, Self::Loss];
+    pub const ALL: [Self; 8] =
+        [Self::Project, Self::Bin, Self::Sort, Self::Raster, Self::Adam, Self::Shade, Self::Loss, Self::Light];
 
     /// The text that is compiled, for pixels of `groups` of four channels.
     pub fn text(self, groups: u32) -> String {
@@ -34,6 +36,8 @@ impl Source {
             Self::Adam => include_str!("../adam.wgsl"),
             Self::Shade => include_str!("../shade.wgsl"),
             Self::Loss => include_str!("../loss.wgsl"),
+            Self::Light => include_str!("light.wgsl"),
+            Self::Other(text) => text,
         };
         format!("const G: u32 = {groups}u;\n{}\n{own}", include_str!("common.wgsl"))
     }
@@ -108,8 +112,8 @@ impl Recording {
         self.dispatches.push(Dispatch { pipeline, bindings, groups: call.groups });
     }
 
-    /// Encodes all of them; `indirect` holds the sizes that the device decides.
-    pub fn replay(&self, encoder: &mut wgpu::CommandEncoder, indirect: &wgpu::Buffer) {
+    /// Encodes all of them; `indirect` holds the sizes that the device decides, where it decides any.
+    pub fn replay(&self, encoder: &mut wgpu::CommandEncoder, indirect: Option<&wgpu::Buffer>) {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         for dispatch in &self.dispatches {
             pass.set_pipeline(&dispatch.pipeline);
@@ -117,7 +121,11 @@ impl Recording {
             match dispatch.groups {
                 Groups::Linear(groups) => pass.dispatch_workgroups(groups.min(ROW), groups.div_ceil(ROW), 1),
                 Groups::Grid(columns, rows) => pass.dispatch_workgroups(columns, rows, 1),
-                Groups::Indirect(index) => pass.dispatch_workgroups_indirect(indirect, 12 * index),
+                Groups::Indirect(index) => {
+                    if let Some(indirect) = indirect {
+                        pass.dispatch_workgroups_indirect(indirect, 12 * index);
+                    }
+                }
             }
         }
     }
@@ -145,42 +153,5 @@ impl Gpu {
             })
         };
         pipelines.entry((source, groups, entry)).or_insert_with(make).clone()
-    }
-
-    /// The first so many bytes of buffers that the device computed, in words; waits for them.
-    ///
-    /// # Errors
-    /// When the device failed.
-    pub(crate) fn read(&self, parts: &[(&wgpu::Buffer, u64)]) -> Result<Vec<Vec<u32>>, crate::SplatError> {
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let staged: Vec<Option<wgpu::Buffer>> = parts
-            .iter()
-            .map(|(buffer, bytes)| {
-                let size = NonZeroU64::new(*bytes)?;
-                let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("read back"),
-                    size: size.get(),
-                    usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-                    mapped_at_creation: false,
-                });
-                encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, size.get());
-                Some(staging)
-            })
-            .collect();
-        self.queue.submit([encoder.finish()]);
-        for staging in staged.iter().flatten() {
-            // What goes wrong here shows when the range is asked for.
-            staging.map_async(wgpu::MapMode::Read, .., |_| ());
-        }
-        self.wait()?;
-        staged
-            .iter()
-            .map(|staging| {
-                let Some(staging) = staging else { return Ok(Vec::new()) };
-                let range =
-                    staging.get_mapped_range(..).map_err(|e| self.error(format!("nothing can be read back: {e}")))?;
-                Ok(bytemuck::pod_collect_to_vec(&range))
-            })
-            .collect()
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use heartian_space::Camera;
 use rayon::prelude::*;
 
-use super::arena::uniform;
+use super::arena::{Store, uniform};
 use super::device::Gpu;
 use super::params::{BLOCK, GROUP, Params};
 use super::program::{Call, Groups, Recording, Source};
@@ -35,7 +35,7 @@ const OVER_BUCKETS: Groups = Groups::Indirect(2);
 pub struct GpuRasteriser {
     gpu: Arc<Gpu>,
     buffers: Buffers,
-    shape: Shape,
+    pub(super) shape: Shape,
     /// Entries that a list is to have room for.
     room: usize,
     params: wgpu::Buffer,
@@ -124,14 +124,33 @@ impl GpuRasteriser {
         camera: &Camera,
         options: &RasterOptions,
     ) -> Result<bool, SplatError> {
-        let channels = check_scene(gaussians, camera, options)?;
+        check_scene(gaussians, camera, options)?;
+        let changed = self.reserve([gaussians.len(), gaussians.channels], camera, options, None)?;
+        self.upload(gaussians)?;
+        Ok(changed)
+    }
+
+    /// Room and dispatches for so many Gaussians of so many features, and the constants of a frame; gives what
+    /// [`GpuRasteriser::take`] does. The camera is one that was checked; `room` is for entries, unless more was asked for
+    /// before.
+    ///
+    /// # Errors
+    /// When the device cannot hold the scene.
+    pub(super) fn reserve(
+        &mut self,
+        [count, features]: [usize; 2],
+        camera: &Camera,
+        options: &RasterOptions,
+        room: Option<usize>,
+    ) -> Result<bool, SplatError> {
+        let channels = features + usize::from(options.depth);
         let shape = Shape {
-            count: gaussians.len(),
-            features: gaussians.channels,
+            count,
+            features,
             groups: Shape::groups_for(channels),
             width: camera.width,
             height: camera.height,
-            capacity: self.room.max(ENTRIES_EACH * gaussians.len()).max(FEWEST_ENTRIES),
+            capacity: self.room.max(room.unwrap_or((ENTRIES_EACH * count).max(FEWEST_ENTRIES))),
         };
         let changed = self.buffers.ensure_forward(&self.gpu, &shape)? || shape != self.shape || self.forward.is_empty();
         if changed {
@@ -139,7 +158,19 @@ impl GpuRasteriser {
             self.backward = Recording::default();
             self.record_forward()?;
         }
-        self.upload(gaussians, camera, options, channels)?;
+        let params = Params {
+            count: count as u32,
+            features: features as u32,
+            channels: channels as u32,
+            width: shape.width as u32,
+            height: shape.height as u32,
+            columns: shape.grid()[0] as u32,
+            tiles: shape.tiles() as u32,
+            capacity: shape.capacity as u32,
+            stride: shape.stride() as u32,
+            ..Params::of_view(&View::new(camera, options))
+        };
+        self.gpu.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
         Ok(changed)
     }
 
@@ -162,6 +193,18 @@ impl GpuRasteriser {
         Ok((&self.params, self.buffers.picture.get()?))
     }
 
+    /// What kernels before and after the rasteriser write and read: geometry, features, and the gradients of both, with
+    /// their words.
+    pub(super) fn scene(&self) -> [(&Store, usize); 4] {
+        let (b, n) = (&self.buffers, self.shape.count);
+        [
+            (&b.geometry, 12 * n),
+            (&b.features, self.shape.features * n),
+            (&b.on_geometry, 4 * GROUP * n),
+            (&b.on_features, GROUP * self.shape.groups * n),
+        ]
+    }
+
     /// The totals; the second word is how many entries there were, with or without room.
     pub(super) fn totals(&self) -> Result<&wgpu::Buffer, SplatError> {
         self.buffers.totals.get()
@@ -172,34 +215,14 @@ impl GpuRasteriser {
         self.buffers.dispatches.get()
     }
 
-    fn upload(
-        &self,
-        gaussians: &Gaussians,
-        camera: &Camera,
-        options: &RasterOptions,
-        channels: usize,
-    ) -> Result<(), SplatError> {
-        let shape = &self.shape;
-        let params = Params {
-            count: shape.count as u32,
-            features: shape.features as u32,
-            channels: channels as u32,
-            width: shape.width as u32,
-            height: shape.height as u32,
-            columns: shape.grid()[0] as u32,
-            tiles: shape.tiles() as u32,
-            capacity: shape.capacity as u32,
-            stride: shape.stride() as u32,
-            ..Params::of_view(&View::new(camera, options))
-        };
-        let mut geometry = vec![[0.0f32; 12]; shape.count];
+    fn upload(&self, gaussians: &Gaussians) -> Result<(), SplatError> {
+        let mut geometry = vec![[0.0f32; 12]; self.shape.count];
         geometry.par_iter_mut().enumerate().for_each(|(i, row)| {
             let ([x, y, z], [a, b, c]) = (gaussians.means[i], gaussians.scales[i]);
             let [qw, qx, qy, qz] = gaussians.rotations[i];
             *row = [x, y, z, gaussians.opacities[i], a, b, c, 0.0, qw, qx, qy, qz];
         });
         let queue = &self.gpu.queue;
-        queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
         queue.write_buffer(self.buffers.geometry.get()?, 0, bytemuck::cast_slice(&geometry));
         queue.write_buffer(self.buffers.features.get()?, 0, bytemuck::cast_slice(gaussians.features));
         Ok(())
@@ -209,7 +232,7 @@ impl GpuRasteriser {
     pub(super) fn encode_forward(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), SplatError> {
         encoder.clear_buffer(self.buffers.ranges.get()?, 0, None);
         encoder.clear_buffer(self.totals()?, 0, None);
-        self.forward.replay(encoder, self.dispatches()?);
+        self.forward.replay(encoder, Some(self.dispatches()?));
         Ok(())
     }
 
@@ -233,7 +256,7 @@ impl GpuRasteriser {
     /// Everything from the picture's gradient to the scene's.
     pub(super) fn encode_backward(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), SplatError> {
         encoder.clear_buffer(self.buffers.buckets.get()?, 0, None);
-        self.backward.replay(encoder, self.dispatches()?);
+        self.backward.replay(encoder, Some(self.dispatches()?));
         Ok(())
     }
 
@@ -338,68 +361,5 @@ impl GpuRasteriser {
         add(Source::Project, "project_backward", &bindings, Groups::Linear(shape.count.div_ceil(64) as u32));
         self.backward = recording;
         self.gpu.check()
-    }
-
-    /// The picture in planes from its groups of four.
-    fn frame(&self, words: &[u32], depth: bool) -> Frame {
-        let shape = &self.shape;
-        let pixels = shape.pixels();
-        let values: &[[f32; GROUP]] = bytemuck::cast_slice(words);
-        let plane = |channel: usize, out: &mut [f32]| {
-            let group = &values[channel / GROUP * pixels..][..pixels];
-            out.iter_mut().zip(group).for_each(|(out, value)| *out = value[channel % GROUP]);
-        };
-        let mut frame = Frame {
-            width: shape.width,
-            height: shape.height,
-            channels: shape.features,
-            planes: vec![0.0; shape.features * pixels],
-            depth: vec![0.0; usize::from(depth) * pixels],
-            transmittance: vec![0.0; pixels],
-        };
-        frame.planes.par_chunks_mut(pixels).enumerate().for_each(|(channel, out)| plane(channel, out));
-        plane(shape.features, &mut frame.depth);
-        plane(shape.features + usize::from(depth), &mut frame.transmittance);
-        frame
-    }
-
-    /// The gradient in groups of four from its planes.
-    fn grouped(&self, gradient: &FrameGradient, depth: bool) -> Vec<[f32; GROUP]> {
-        let (shape, pixels) = (&self.shape, self.shape.pixels());
-        let plane = |channel: usize| match channel {
-            c if c < shape.features => &gradient.planes[c * pixels..][..pixels],
-            c if depth && c == shape.features => gradient.depth,
-            c if c == shape.features + usize::from(depth) => gradient.transmittance,
-            _ => &[],
-        };
-        let mut out = vec![[0.0; GROUP]; shape.groups * pixels];
-        out.par_chunks_mut(pixels).enumerate().for_each(|(group, out)| {
-            for lane in 0..GROUP {
-                let values = plane(group * GROUP + lane);
-                out.iter_mut().zip(values).for_each(|(out, value)| out[lane] = *value);
-            }
-        });
-        out
-    }
-
-    /// The scene's gradients from what the device wrote.
-    pub(super) fn gradients(&self, geometry: &[u32], features: &[u32]) -> SceneGradients {
-        let (shape, n) = (&self.shape, self.shape.count);
-        let rows: &[[f32; 4 * GROUP]] = bytemuck::cast_slice(geometry);
-        let values: &[f32] = bytemuck::cast_slice(features);
-        let mut out = SceneGradients {
-            means: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
-            scales: rows.iter().map(|r| [r[4], r[5], r[6]]).collect(),
-            rotations: rows.iter().map(|r| [r[8], r[9], r[10], r[11]]).collect(),
-            opacities: rows.iter().map(|r| r[3]).collect(),
-            features: Vec::with_capacity(n * shape.features),
-            means_px: rows.iter().map(|r| [r[12], r[13]]).collect(),
-            weights: rows.iter().map(|r| r[7]).collect(),
-            radii_px: rows.iter().map(|r| r[14]).collect(),
-        };
-        for row in values.chunks_exact((GROUP * shape.groups).max(1)) {
-            out.features.extend_from_slice(&row[..shape.features]);
-        }
-        out
     }
 }

@@ -2,7 +2,7 @@
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
-use crate::gpu::params::{AdamStep, Params, SortPass};
+use crate::gpu::params::{AdamStep, LightStep, LossWeights, Params, SortPass};
 use crate::gpu::program::Source;
 
 /// Storage buffers that every WebGPU device can bind to a kernel.
@@ -46,6 +46,8 @@ fn constants_are_laid_out_as_the_shaders_read_them() -> Result<(), Box<dyn std::
         (Source::Project, "Params", size_of::<Params>()),
         (Source::Sort, "Pass", size_of::<SortPass>()),
         (Source::Adam, "Step", size_of::<AdamStep>()),
+        (Source::Light, "LightStep", size_of::<LightStep>()),
+        (Source::Loss, "Weights", size_of::<LossWeights>()),
     ];
     for (source, name, size) in sizes {
         let module = naga::front::wgsl::parse_str(&source.text(1))?;
