@@ -263,7 +263,7 @@ fn text(fits: &[Fitted], stages: &[f64], rates: &[Rate], (modes, bytes): (usize,
     }));
     let fitted = table(&rows, &[false, true, true, true, true, true]);
     let mut rows = vec![["a step", "ms"].map(str::to_owned).to_vec()];
-    rows.extend(STAGES.iter().zip(&stages).map(|(name, s)| vec![(*name).to_owned(), format!("{:.2}", 1e3 * s)]));
+    rows.extend(STAGES.iter().zip(stages).map(|(name, s)| vec![(*name).to_owned(), format!("{:.2}", 1e3 * s)]));
     rows.push(vec!["all".to_owned(), format!("{:.2}", 1e3 * stages.iter().sum::<f64>())]);
     let step = if stages.is_empty() { String::new() } else { table(&rows, &[false, true]) };
     let mut rows = vec![["rendering", "side px", "frames/s"].map(str::to_owned).to_vec()];
