@@ -125,9 +125,9 @@ impl Values {
             rest: new("the places of rest", 3 * count)?,
             neighbours: new("the neighbours", given.neighbours.rows().len())?,
             drawn: new("the neighbours' means", 6 * count)?,
-            body: GpuBuffer::constants(gpu, &[0; 8]),
-            visit: GpuBuffer::constants(gpu, &visit),
-            sheet: GpuBuffer::constants(gpu, &[0; 8]),
+            body: GpuBuffer::constants(gpu, &[0; 8])?,
+            visit: GpuBuffer::constants(gpu, &visit)?,
+            sheet: GpuBuffer::constants(gpu, &[0; 8])?,
         };
         bring(given.canonical, values.adam.parameters())?;
         values.tracked.write_floats(0, &tracked)?;
@@ -174,7 +174,7 @@ impl Values {
     pub fn record(&self, scene: &GpuScene, frames: &GpuFrames, view: &View) -> Result<Kernels, SplatError> {
         self.body.write(0, &body_words([self.count, self.modes], view.is_lit, view.centre))?;
         let level = [view.size[0], view.size[1], view.factor, view.source_width].map(|v| v as u32);
-        let level = GpuBuffer::constants(&self.gpu, &level);
+        let level = GpuBuffer::constants(&self.gpu, &level)?;
         let (parameters, gradients) = (self.adam.parameters(), self.adam.gradients());
         let (body, visit, status) = ((0, &self.body), (0, &self.visit), &scene.status);
         let over = self.count.div_ceil(GROUP);
@@ -202,7 +202,7 @@ impl Values {
         let bindings = [body, (8, &self.block_sums), (9, &self.on_motion)];
         let workgroups = JOINT_WORDS + self.modes;
         after.add(&GpuCall { text: PICTURE, entry: "sum_motion", bindings: &bindings, workgroups })?;
-        let round = GpuBuffer::constants(&self.gpu, &[self.count as u32, 0, 0, 0]);
+        let round = GpuBuffer::constants(&self.gpu, &[self.count as u32, 0, 0, 0])?;
         let bindings = [(0, &round), (1, &scene.on_geometry), (2, &self.statistics), (3, status)];
         after.add(&GpuCall { text: DENSITY, entry: "collect", bindings: &bindings, workgroups: over })?;
         self.adam.record(&mut after, status)?;

@@ -76,7 +76,7 @@ impl There {
             gpu: Arc::clone(gpu),
             parameters: GpuBuffer::new(gpu, "the avatar", words)?,
             motion: GpuBuffer::new(gpu, "the motion", 60 + canonical.modes)?,
-            body: GpuBuffer::constants(gpu, &body_words(size, true, shown.camera.centre_in_world())),
+            body: GpuBuffer::constants(gpu, &body_words(size, true, shown.camera.centre_in_world()))?,
             tint: shown.modulation.map(|modulation| Tint::new(gpu, modulation)).transpose()?,
         };
         bring(canonical, &own.parameters)?;

@@ -29,9 +29,13 @@ impl GpuBuffer {
     }
 
     /// Constants of kernels (`var<uniform>`), of which there are few.
-    pub fn constants(gpu: &Arc<Gpu>, values: &[u32]) -> Self {
+    ///
+    /// # Errors
+    /// When the device failed.
+    pub fn constants(gpu: &Arc<Gpu>, values: &[u32]) -> Result<Self, SplatError> {
         let buffer = uniform(gpu, bytemuck::cast_slice(values));
-        Self { gpu: Arc::clone(gpu), buffer, words: values.len() }
+        gpu.check()?;
+        Ok(Self { gpu: Arc::clone(gpu), buffer, words: values.len() })
     }
 
     /// What a store holds now; another buffer once that has grown.

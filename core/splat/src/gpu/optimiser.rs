@@ -37,7 +37,7 @@ impl GpuAdam {
             gpu: Arc::clone(gpu),
             options,
             groups: groups.to_vec(),
-            constants: GpuBuffer::constants(gpu, bytemuck::cast_slice(&[AdamStep::default()])),
+            constants: GpuBuffer::constants(gpu, bytemuck::cast_slice(&[AdamStep::default()]))?,
             parameters: GpuBuffer::new(gpu, "the parameters", count)?,
             gradients: GpuBuffer::new(gpu, "the parameters' gradients", count)?,
             moments: GpuBuffer::new(gpu, "the parameters' moments", 2 * count)?,

@@ -120,7 +120,10 @@ impl GpuBuffer {
     }
 
     /// On a device.
-    pub fn constants(gpu: &Arc<Gpu>, _: &[u32]) -> Self {
+    ///
+    /// # Errors
+    /// None: there is no such device.
+    pub fn constants(gpu: &Arc<Gpu>, _: &[u32]) -> Result<Self, SplatError> {
         match **gpu {}
     }
 
@@ -188,7 +191,7 @@ impl GpuKernels {
 
 /// Values on their way back; there can be none.
 #[derive(Debug)]
-pub enum GpuReading {}
+pub struct GpuReading(GpuBuffer);
 
 impl GpuReading {
     /// As the twin's.
@@ -196,7 +199,7 @@ impl GpuReading {
     /// # Errors
     /// None: there is no such object.
     pub fn take(self, _: &Gpu) -> Result<Vec<Vec<u32>>, SplatError> {
-        match self {}
+        match self.0 {}
     }
 }
 
