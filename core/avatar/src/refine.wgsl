@@ -153,7 +153,8 @@ fn refine(@builtin(local_invocation_index) index: u32) {
     let at = visit.frame * visit.width + index;
     let size = visit.frames * visit.width;
     let decayed = visit.decay * rate;
-    if decayed != 0.0 && finite(gradient) {
+    // Larger than the root of the largest number: its square is not finite.
+    if decayed != 0.0 && finite(gradient) && abs(gradient) < 1.8446742e19 {
         let first = BETA.x * refined[size + at] + (1.0 - BETA.x) * gradient;
         let second = BETA.y * refined[2u * size + at] + (1.0 - BETA.y) * gradient * gradient;
         refined[size + at] = first;

@@ -4,7 +4,8 @@
 //! resolution without shading; then the light is guessed from the skin, colours become albedo, and everything is fitted
 //! at full resolution with deferred shading in linear light and the sRGB transfer at the edge. The last 15 % of the
 //! frames are never looked at before the final measurement: their poses are the tracked ones plus a global correction
-//! learned on training frames. The result is a pure function of clip, track and options, at any number of threads.
+//! learned on training frames. The result is a pure function of clip, track and options, at any number of threads; on a
+//! device, where the steps stay (`resident.rs`), of that device too.
 
 mod appearance;
 mod checkpoint;
