@@ -1,8 +1,8 @@
 //! Hits, misses, early cut-off, healing: asserted node by node.
 
-use heartian_graph::{Cache, Graph, RunOptions, Status};
+use heartian_graph::{Cache, Graph, NodeKind, Registry, RunOptions, Status};
 
-use crate::nodes::{Bench, cache_files, listened, plan};
+use crate::nodes::{Add, Bench, Devised, cache_files, listened, plan};
 
 const CHAIN: &str = r#"Graph(name: "chain", nodes: {
     "a": (kind: "Constant", params: (values: [1.25, 2.5])),
@@ -58,7 +58,12 @@ fn what_the_machine_decides_about_the_bits_is_in_the_key_and_nothing_else_of_the
         "a": (kind: "Devised"),
         "b": (kind: "Add", inputs: {"numbers": "a.numbers"}),
     })"#;
-    let run = |set: &[&str]| bench.run_with(graph, set, &RunOptions::default()).statuses();
+    let registry = Registry::of([NodeKind::of::<Devised>(), NodeKind::of::<Add>()]);
+    let run = |set: &[&str]| {
+        let mut graph = Graph::parse("test.ron", graph).unwrap();
+        set.iter().for_each(|argument| graph.set(argument));
+        bench.run_plan(&graph.plan(&registry, &[]).unwrap(), &RunOptions::default()).statuses()
+    };
     assert_eq!(run(&[]), "a:ran b:ran");
     // The same bytes come out, so what reads them is cut off.
     assert_eq!(run(&["a.device=\"one\""]), "a:ran b:hit");
