@@ -96,7 +96,8 @@ impl Resident {
         }
         self.send(fit.clip, step, frame)?;
         let covered = self.reading.as_ref().map_or(0, |(_, covered)| *covered);
-        if self.sent.len() < covered + BATCH {
+        // Never more on their way than reports are kept of, also when many were sent again.
+        if self.sent.len() < (covered + BATCH).min(GpuFitter::REPORTS - 1) {
             return Ok(Vec::new());
         }
         let reported = self.read(fit.clip)?;
