@@ -8,6 +8,8 @@ mod house;
 mod interrupt;
 mod laws;
 mod measuring;
+#[cfg(unix)]
+mod models;
 mod perfusion;
 mod pipeline;
 mod plugins;

@@ -260,13 +260,14 @@ impl Courier<'_> {
             write(&self.folder.join(&path), |file| write_clip(&clip, file))?;
             (path, size)
         } else {
-            let Some(bytes) = self.delivery.cache.bytes(digest)? else {
+            let Some(mut stored) = self.delivery.cache.open_verified(digest)? else {
                 self.done.damaged = true;
                 return Ok(());
             };
             let path = format!("{name}.safetensors");
-            write(&self.folder.join(&path), |file| file.write_all(&bytes))?;
-            (path, bytes.len() as u64)
+            let size = stored.metadata().into_diagnostic()?.len();
+            write(&self.folder.join(&path), |file| std::io::copy(&mut stored, file).map(drop))?;
+            (path, size)
         };
         self.now.insert(name.to_owned(), Entry { digest: *digest, files: BTreeMap::from([(path, size)]) });
         Ok(())

@@ -101,18 +101,21 @@ pub fn list() -> Result<Vec<Status>, ModelsError> {
     let mut all: Vec<Status> = MODELS
         .iter()
         .map(|model| {
-            let Package { name, version, .. } = model.sources[0].package;
             let status = Status {
                 name: model.name,
                 set: model.set,
                 path: directory.join(model.file),
                 state: state(read_model(model, &directory).map(drop)),
                 bytes: 0,
-                source: format!("{name} {version}"),
+                source: String::new(),
                 licence: "Apache-2.0",
                 sha256: String::new(),
-            };
-            status.measured()
+            }
+            .measured();
+            // Publications differ: the digest tells which one is there.
+            let own = model.sources.iter().find(|source| source.sha256 == status.sha256);
+            let Package { name, version, .. } = own.unwrap_or(&model.sources[0]).package;
+            Status { source: format!("{name} {version}"), ..status }
         })
         .collect();
     let Package { name, version, .. } = head::PACKAGE;

@@ -16,9 +16,12 @@ pub struct AnyArtifact {
     form: Form,
 }
 
+/// Hands the on-disk form of a value over, in pieces.
+type Encode = fn(&dyn Any, &mut dyn FnMut(&[&[u8]])) -> Result<(), ArtifactError>;
+
 #[derive(Clone)]
 enum Form {
-    Value { value: Arc<dyn Any + Send + Sync>, encode: fn(&dyn Any) -> Result<Vec<u8>, ArtifactError> },
+    Value { value: Arc<dyn Any + Send + Sync>, encode: Encode },
     Encoded(Arc<Vec<u8>>),
 }
 
@@ -37,8 +40,8 @@ impl AnyArtifact {
     ///
     /// # Errors
     /// When the bytes are not such an artifact.
-    pub fn decode<T: Artifact>(bytes: &[u8]) -> Result<Self, ArtifactError> {
-        Ok(Self::new(T::from_bundle(BundleReader::new(bytes)?)?))
+    pub fn decode<T: Artifact>(reader: BundleReader<'_>) -> Result<Self, ArtifactError> {
+        Ok(Self::new(T::from_bundle(reader)?))
     }
 
     /// The type's name and version.
@@ -64,23 +67,42 @@ impl AnyArtifact {
         }
     }
 
-    /// The on-disk form.
+    /// Hands over the on-disk form in pieces that lie where the value has them, so that storing copies nothing.
+    ///
+    /// # Errors
+    /// When the value cannot be expressed.
+    pub fn in_pieces(&self, take: &mut dyn FnMut(&[&[u8]])) -> Result<(), ArtifactError> {
+        match &self.form {
+            Form::Value { value, encode } => encode(&**value, take),
+            Form::Encoded(bytes) => {
+                take(&[bytes]);
+                Ok(())
+            }
+        }
+    }
+
+    /// The on-disk form, joined.
     ///
     /// # Errors
     /// When the value cannot be expressed.
     pub fn to_bytes(&self) -> Result<Cow<'_, [u8]>, ArtifactError> {
-        match &self.form {
-            Form::Value { value, encode } => encode(&**value).map(Cow::Owned),
-            Form::Encoded(bytes) => Ok(Cow::Borrowed(bytes)),
+        if let Form::Encoded(bytes) = &self.form {
+            return Ok(Cow::Borrowed(bytes));
         }
+        let mut joined = Vec::new();
+        self.in_pieces(&mut |pieces| joined = pieces.concat())?;
+        Ok(Cow::Owned(joined))
     }
 }
 
-fn encode<T: Artifact>(value: &dyn Any) -> Result<Vec<u8>, ArtifactError> {
-    match value.downcast_ref::<T>() {
-        Some(value) => value.to_bundle()?.to_bytes(),
-        None => Err(ArtifactError::Invalid(format!("the value is not a `{}`", T::TYPE.name))),
-    }
+fn encode<T: Artifact>(value: &dyn Any, take: &mut dyn FnMut(&[&[u8]])) -> Result<(), ArtifactError> {
+    let Some(value) = value.downcast_ref::<T>() else {
+        return Err(ArtifactError::Invalid(format!("the value is not a `{}`", T::TYPE.name)));
+    };
+    let bundle = value.to_bundle()?;
+    let pieces = bundle.pieces()?;
+    take(&pieces.iter().map(|piece| &**piece).collect::<Vec<&[u8]>>());
+    Ok(())
 }
 
 /// What the wires bring to a running node, by port.

@@ -17,7 +17,8 @@ mod stamp;
 mod upkeep;
 
 use std::collections::BTreeMap;
-use std::io::{self, Read, Write};
+use std::fs::File;
+use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
@@ -180,7 +181,7 @@ impl Cache {
             let stamp = Stamp::of(&metadata);
             if stamp != output.stamp {
                 // Copied, restored or tampered with: the bytes decide.
-                self.bytes(&output.digest).ok()??;
+                self.open_verified(&output.digest).ok()??;
                 (output.stamp, moved) = (stamp, true);
             }
         }
@@ -217,33 +218,36 @@ impl Cache {
         self.write(&self.record_path(key), &[head.as_bytes(), b"\n", record.preimage.as_bytes()])
     }
 
-    /// Stores bytes under their digest. A file that holds them already stays as it is.
+    /// Stores the bytes of pieces, joined, under their digest. A file that holds them already stays as it is.
     ///
     /// # Errors
     /// When the folder cannot be written.
-    pub fn put_bytes(&self, bytes: &[u8]) -> Result<Output, CacheError> {
-        let (digest, size) = (Digest::of(bytes), bytes.len() as u64);
+    pub fn put(&self, pieces: &[&[u8]]) -> Result<Output, CacheError> {
+        let digest = Digest::of_pieces(pieces.iter().copied());
+        let size = pieces.iter().map(|piece| piece.len() as u64).sum();
         let path = self.blob_path(&digest);
-        if !holds(&path, bytes).unwrap_or(false) {
-            self.write(&path, &[bytes])?;
+        if !holds(&path, pieces, size).unwrap_or(false) {
+            self.write(&path, pieces)?;
         }
         let stamp = std::fs::metadata(&path).map(|metadata| Stamp::of(&metadata)).unwrap_or_default();
         Ok(Output { digest, size, stamp })
     }
 
-    /// The bytes of a digest, verified; damaged ones are deleted and count as absent.
+    /// The file of a digest, its bytes verified and to be read from the start; a damaged one is deleted and counts as
+    /// absent. However large it is, little of it is in memory at once.
     ///
     /// # Errors
-    /// When they are there and cannot be read.
-    pub fn bytes(&self, digest: &Digest) -> Result<Option<Vec<u8>>, CacheError> {
+    /// When it is there and cannot be read.
+    pub fn open_verified(&self, digest: &Digest) -> Result<Option<File>, CacheError> {
         let path = self.blob_path(digest);
-        let bytes = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
+        let mut file = match File::open(&path) {
+            Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(io("read", &path)(error)),
         };
-        if Digest::of(&bytes) == *digest {
-            return Ok(Some(bytes));
+        if Digest::of_rest(&file).map_err(io("read", &path))? == *digest {
+            file.rewind().map_err(io("read", &path))?;
+            return Ok(Some(file));
         }
         self.forget(digest);
         Ok(None)
@@ -255,14 +259,14 @@ impl Cache {
     }
 }
 
-/// Whether the file holds exactly these bytes.
-fn holds(path: &Path, bytes: &[u8]) -> io::Result<bool> {
-    let mut file = std::fs::File::open(path)?;
-    if file.metadata()?.len() != bytes.len() as u64 {
+/// Whether the file holds exactly these bytes, so many in all.
+fn holds(path: &Path, pieces: &[&[u8]], size: u64) -> io::Result<bool> {
+    let mut file = File::open(path)?;
+    if file.metadata()?.len() != size {
         return Ok(false);
     }
-    let mut piece = vec![0; PIECE.min(bytes.len())];
-    for expected in bytes.chunks(PIECE) {
+    let mut piece = vec![0; PIECE];
+    for expected in pieces.iter().flat_map(|piece| piece.chunks(PIECE)) {
         let piece = &mut piece[..expected.len()];
         file.read_exact(piece)?;
         if piece != expected {

@@ -16,6 +16,29 @@ impl Digest {
         Self::from(blake3::hash(bytes))
     }
 
+    /// The digest of pieces, joined.
+    pub fn of_pieces<'a>(pieces: impl IntoIterator<Item = &'a [u8]>) -> Self {
+        let mut hasher = blake3::Hasher::new();
+        pieces.into_iter().for_each(|piece| {
+            hasher.update(piece);
+        });
+        Self::from(hasher.finalize())
+    }
+
+    /// The digest of all that is still to be read.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn of_rest(mut from: impl std::io::Read) -> std::io::Result<Self> {
+        let (mut hasher, mut piece) = (blake3::Hasher::new(), vec![0; 1 << 20]);
+        loop {
+            match from.read(&mut piece)? {
+                0 => return Ok(Self::from(hasher.finalize())),
+                count => hasher.update(&piece[..count]),
+            };
+        }
+    }
+
     /// The digest of a JSON value, whatever the order of its keys.
     pub fn of_json(value: &Value) -> Self {
         Self::of(canonical(value).as_bytes())

@@ -1,8 +1,10 @@
 //! What a node is: parameters, typed ports, and one pure function.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::PathBuf;
 
-use heartian_artifact::{Artifact, ArtifactError, ArtifactType};
+use heartian_artifact::{Artifact, ArtifactError, ArtifactType, BundleReader};
 
 use crate::artifacts::{AnyArtifact, Inputs, Outputs};
 use crate::context::Context;
@@ -98,7 +100,7 @@ pub struct Port {
     decode: Option<Decode>,
 }
 
-type Decode = fn(&[u8]) -> Result<AnyArtifact, ArtifactError>;
+type Decode = fn(BundleReader<'_>) -> Result<AnyArtifact, ArtifactError>;
 
 impl Port {
     /// One value.
@@ -119,9 +121,19 @@ impl Port {
     /// Reads what travels here from its on-disk form.
     pub(crate) fn decode(&self, bytes: Vec<u8>) -> Result<AnyArtifact, ArtifactError> {
         match self.decode {
-            Some(decode) => decode(&bytes),
+            Some(decode) => decode(BundleReader::new(&bytes)?),
             None => Ok(AnyArtifact::encoded(self.artifact, bytes)),
         }
+    }
+
+    /// The same from a file, which is never held beside what is read from it.
+    pub(crate) fn decode_file(&self, mut file: File) -> Result<AnyArtifact, ArtifactError> {
+        if let Some(decode) = self.decode {
+            return decode(BundleReader::of_file(file)?);
+        }
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).map_err(|error| ArtifactError::Format(error.to_string()))?;
+        Ok(AnyArtifact::encoded(self.artifact, bytes))
     }
 
     /// A list of one or more values, in the order of the graph file.

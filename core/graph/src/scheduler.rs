@@ -13,6 +13,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use heartian_artifact::BundleReader;
+
 use crate::artifacts::AnyArtifact;
 use crate::cache::{Cache, CacheError, Record};
 use crate::context::{Cancel, Observer, Status};
@@ -202,8 +204,8 @@ impl<'a> Run<'a> {
 /// # Errors
 /// When the cache folder cannot be read.
 pub fn load<T: heartian_artifact::Artifact>(cache: &Cache, digest: &Digest) -> Result<Option<Arc<T>>, CacheError> {
-    let Some(bytes) = cache.bytes(digest)? else { return Ok(None) };
-    match AnyArtifact::decode::<T>(&bytes) {
+    let Some(file) = cache.open_verified(digest)? else { return Ok(None) };
+    match BundleReader::of_file(file).and_then(AnyArtifact::decode::<T>) {
         Ok(artifact) => Ok(artifact.downcast()),
         Err(_) => {
             cache.forget(digest);

@@ -44,7 +44,7 @@ fn a_flipped_byte_is_noticed_when_it_is_read() {
     let first = run(&bench, "bytes: 1000");
     let path = bench.cache.blob_path(&first.reports[3].outputs["out"]);
     flip_last_byte(&path);
-    assert!(bench.cache.bytes(&first.reports[3].outputs["out"]).unwrap().is_none());
+    assert!(bench.cache.open_verified(&first.reports[3].outputs["out"]).unwrap().is_none());
     assert!(!path.exists());
 }
 

@@ -186,7 +186,7 @@ impl FrameLoader {
         let watch = &mut |p: Progress| context.progress(p.step, p.total, p.metric);
         let mut recording = load_real(Path::new(&self.source), &options, watch).map_err(named)?;
         if let Some(source) = self.own_matte().filter(|_| self.matte) {
-            recording.clip = matte_clip(&recording.clip, &recording.observations, &source, watch).map_err(named)?;
+            recording.clip = matte_clip(recording.clip, &recording.observations, &source, watch).map_err(named)?;
         }
         recording.warnings.iter().for_each(|warning| context.warn(warning));
         let ppg = trace.map(|trace| trace.over(&recording.clip)).transpose()?;

@@ -42,24 +42,22 @@ pub enum MatteSource {
 /// # Errors
 /// Networks not installed; masks that cannot be read, are too few, or of another size; `progress` breaks.
 pub fn matte_clip(
-    clip: &Clip,
+    mut clip: Clip,
     landmarks: &Observations,
     source: &MatteSource,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Clip, CaptureError> {
-    let mut done = clip.clone();
     match source {
-        MatteSource::Masks(folder) => done.alpha = masks(folder, clip)?,
+        MatteSource::Masks(folder) => clip.alpha = masks(folder, &clip)?,
         MatteSource::Person => {
             let nets = FaceNets::load()?;
-            refined(&mut done, landmarks, &|image| probability(&nets.person, image), progress)?;
+            refined(&mut clip, landmarks, &|image| probability(&nets.person, image), progress)?;
         }
         MatteSource::Key { color, tolerance } => {
-            refined(&mut done, landmarks, &|image| Ok(keyed(image, *color, *tolerance)), progress)?;
+            refined(&mut clip, landmarks, &|image| Ok(keyed(image, *color, *tolerance)), progress)?;
         }
     }
-    let sequence = Sequence { frames: done.frames, alpha: done.alpha, times_seconds: done.times_seconds };
-    Ok(Clip::new(&clip.label, clip.width, clip.height, sequence)?)
+    Ok(clip)
 }
 
 fn probability(person: &PersonMatte, image: &Rgb8Image) -> Result<Vec<f32>, CaptureError> {
@@ -198,7 +196,7 @@ pub fn network_iou(truth: &Clip, landmarks: &Observations, frames: usize) -> Res
     let seen = chosen.iter().map(|frame| landmarks.has_face(*frame).then(|| landmarks.frame(*frame).collect()));
     let seen = Observations::new(landmarks.width, landmarks.height, sample.times_seconds.clone(), seen.collect())?;
     let mut go_on = |_: Progress| ControlFlow::Continue(());
-    Ok(matte_iou(&matte_clip(&sample, &seen, &MatteSource::Person, &mut go_on)?, &sample))
+    Ok(matte_iou(&matte_clip(sample.clone(), &seen, &MatteSource::Person, &mut go_on)?, &sample))
 }
 
 #[cfg(test)]
@@ -215,7 +213,7 @@ mod tests {
     fn the_network_finds_the_synthetic_head() {
         let options = SyntheticOptions { seconds: 1.0, frames_per_second: 5.0, ..SyntheticOptions::default() };
         let truth = generate(&options, &mut go).unwrap();
-        let found = match matte_clip(&truth.clip, &truth.observations, &MatteSource::Person, &mut go) {
+        let found = match matte_clip(truth.clip.clone(), &truth.observations, &MatteSource::Person, &mut go) {
             Ok(found) => found,
             Err(error @ CaptureError::Models(_)) => return println!("skipped: {error}"),
             Err(error) => panic!("{error}"),
@@ -240,7 +238,7 @@ mod tests {
         let clip = Clip::new("input", size, size, sequence).unwrap();
         let nobody = Observations::new(size, size, vec![0.0], vec![None]).unwrap();
         let key = MatteSource::Key { color: green, tolerance: 0.2 };
-        let keyed = matte_clip(&clip, &nobody, &key, &mut go).unwrap();
+        let keyed = matte_clip(clip.clone(), &nobody, &key, &mut go).unwrap();
         let mut want = clip.clone();
         want.alpha = (0..size * size).map(|i| if head(i) { 255 } else { 0 }).collect();
         println!("key iou {:.4}", matte_iou(&keyed, &want));
@@ -257,8 +255,8 @@ mod tests {
         };
         let source = MatteSource::Masks(folder.path().to_owned());
         write(size);
-        assert_eq!(matte_clip(&clip, &nobody, &source, &mut go).unwrap().alpha[..4], [255, 0, 255, 0]);
+        assert_eq!(matte_clip(clip.clone(), &nobody, &source, &mut go).unwrap().alpha[..4], [255, 0, 255, 0]);
         write(size / 2);
-        assert!(matches!(matte_clip(&clip, &nobody, &source, &mut go), Err(CaptureError::Masks { .. })));
+        assert!(matches!(matte_clip(clip.clone(), &nobody, &source, &mut go), Err(CaptureError::Masks { .. })));
     }
 }

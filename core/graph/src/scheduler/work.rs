@@ -6,6 +6,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use heartian_artifact::ArtifactError;
+
 use crate::artifacts::{AnyArtifact, Inputs, Outputs};
 use crate::cache::{Claim, Record};
 use crate::context::{Checkpoints, Context, Event, Observer, Status};
@@ -71,8 +73,10 @@ impl Run<'_> {
         drop(inputs);
         let mut stored = BTreeMap::new();
         for (port, artifact) in outputs.iter() {
-            let bytes = artifact.to_bytes().map_err(|error| unusable(port, &error.to_string()))?;
-            stored.insert(port.to_owned(), self.cache.put_bytes(&bytes)?);
+            let mut put = None;
+            let unusable = |error: ArtifactError| unusable(port, &error.to_string());
+            artifact.in_pieces(&mut |pieces| put = Some(self.cache.put(pieces))).map_err(unusable)?;
+            stored.extend(put.transpose()?.map(|output| (port.to_owned(), output)));
         }
         let warnings = std::mem::take(&mut *recorder.warnings.lock().unwrap_or_else(PoisonError::into_inner));
         let record = Record { outputs: stored, warnings, seconds: start.elapsed().as_secs_f64(), preimage };
@@ -110,7 +114,7 @@ impl Run<'_> {
         for feed in &job.feeds {
             let mut slot = feed.slot.lock().unwrap_or_else(PoisonError::into_inner);
             if slot.is_none() {
-                match self.cache.bytes(&feed.digest)?.map(|bytes| feed.output.decode(bytes)) {
+                match self.cache.open_verified(&feed.digest)?.map(|file| feed.output.decode_file(file)) {
                     Some(Ok(artifact)) => *slot = Some(artifact),
                     other => {
                         self.cache.forget(&feed.digest);
