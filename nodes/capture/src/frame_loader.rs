@@ -66,7 +66,7 @@ register!(FrameLoader);
 
 impl Node for FrameLoader {
     const KIND: &'static str = "FrameLoader";
-    const REVISION: u32 = 4;
+    const REVISION: u32 = 5;
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),

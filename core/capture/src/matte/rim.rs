@@ -1,40 +1,89 @@
 //! Colours at a soft edge, freed of the background.
 //!
-//! Near the matte's edge a pixel mixes head and background, and the matte never says the share exactly. So the colour
-//! there is not unmixed but replaced by the mean of the head's sure inside nearby; the inside itself stays as it is.
+//! Near the matte's edge a pixel mixes head and background, and the matte never says the share exactly. So what is there
+//! is not unmixed but replaced by the mean of the head's sure inside nearby; the inside itself stays as it is. Video keeps
+//! colour at half the resolution of brightness, so the background's colour reaches further in than its light.
 
 use heartian_space::Rgb8Image;
 
 use super::guided::box_mean;
 use super::smoothstep;
 
-/// Replaces the colours within about two pixels (at 256×256) of the edge, and of all soft pixels.
+/// How far the background reaches in, and over what the inside is averaged there (and where there is none, for wisps far
+/// from the inside), pixels at 256×256: brightness, then colour.
+const BRIGHTNESS: [f32; 3] = [2.0, 4.0, 16.0];
+const COLOR: [f32; 3] = [4.0, 6.0, 16.0];
+
+/// Replaces brightness and colour within about two and four pixels (at 256×256) of the edge, and of all soft pixels.
 pub(super) fn replace_background(image: &mut Rgb8Image, alpha: &[f32], scale: f32) {
     let size = image.width;
-    let radius = |pixels: f32| ((pixels * scale).round() as usize).max(1);
-    let around = box_mean(alpha, size, radius(2.0));
-    let sure: Vec<f32> = around.iter().map(|mean| smoothstep(0.75, 1.0, *mean)).collect();
-    // Inside means over a near window, and over a wide one for wisps far from the inside.
-    let windows = [4.0, 16.0].map(radius);
-    let weights = windows.map(|radius| box_mean(&sure, size, radius));
+    let pixels = image.data.as_chunks::<3>().0;
+    let luma: Vec<f32> =
+        pixels.iter().map(|[r, g, b]| 0.299 * f32::from(*r) + 0.587 * f32::from(*g) + 0.114 * f32::from(*b)).collect();
+    let [bright, color] = [BRIGHTNESS, COLOR].map(|reach| Edge::new(alpha, size, reach.map(|pixels| pixels * scale)));
+    let bright = bright.cleaned(&luma, alpha);
     for channel in 0..3 {
-        let plane: Vec<f32> = image.data.iter().skip(channel).step_by(3).map(|v| f32::from(*v)).collect();
-        let weighted: Vec<f32> = plane.iter().zip(&sure).map(|(value, sure)| value * sure).collect();
-        let sums = windows.map(|radius| box_mean(&weighted, size, radius));
-        for i in 0..plane.len() {
-            if alpha[i] <= 0.0 || sure[i] >= 1.0 {
-                continue;
-            }
-            let Some(window) = (0..windows.len()).find(|k| weights[*k][i] > 0.02) else { continue };
-            let inside = sums[window][i] / weights[window][i];
-            image.data[3 * i + channel] = (inside + sure[i] * (plane[i] - inside) + 0.5).clamp(0.0, 255.0) as u8;
+        let plane = image.data.iter().skip(channel).step_by(3);
+        let difference: Vec<f32> = plane.zip(&luma).map(|(value, luma)| f32::from(*value) - luma).collect();
+        let cleaned = color.cleaned(&difference, alpha);
+        for i in (0..alpha.len()).filter(|i| alpha[*i] > 0.0 && color.sure[*i] < 1.0) {
+            image.data[3 * i + channel] = (bright[i] + cleaned[i] + 0.5).clamp(0.0, 255.0) as u8;
         }
+    }
+}
+
+/// Where the inside is sure.
+struct Edge {
+    size: usize,
+    sure: Vec<f32>,
+    windows: [usize; 2],
+    /// How much of the inside each window holds.
+    weights: [Vec<f32>; 2],
+}
+
+impl Edge {
+    fn new(alpha: &[f32], size: usize, reach: [f32; 3]) -> Self {
+        let [reach, near, far] = reach.map(|pixels| (pixels.round() as usize).max(1));
+        let sure: Vec<f32> = box_mean(alpha, size, reach).iter().map(|mean| smoothstep(0.75, 1.0, *mean)).collect();
+        let weights = [near, far].map(|radius| box_mean(&sure, size, radius));
+        Self { size, sure, windows: [near, far], weights }
+    }
+
+    /// The plane with the inside's mean where the head is soft or near its edge.
+    fn cleaned(&self, plane: &[f32], alpha: &[f32]) -> Vec<f32> {
+        let weighted: Vec<f32> = plane.iter().zip(&self.sure).map(|(value, sure)| value * sure).collect();
+        let sums = self.windows.map(|radius| box_mean(&weighted, self.size, radius));
+        let clean = |i: usize| {
+            let window = (0..2).find(|k| self.weights[*k][i] > 0.02);
+            let Some(window) = window.filter(|_| alpha[i] > 0.0 && self.sure[i] < 1.0) else { return plane[i] };
+            let inside = sums[window][i] / self.weights[window][i];
+            inside + self.sure[i] * (plane[i] - inside)
+        };
+        (0..plane.len()).map(clean).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn colour_that_bled_in_goes() {
+        let size = 64;
+        let alpha: Vec<f32> = (0..size * size).map(|i| if i % size < 32 { 1.0 } else { 0.0 }).collect();
+        let mut image = Rgb8Image::filled(size, size, [20, 40, 220]);
+        // Brown hair, blue by two pixels at its edge.
+        for (i, _) in alpha.iter().enumerate().filter(|(_, alpha)| **alpha > 0.0) {
+            let hair = if i % size < 30 { [90, 70, 50] } else { [60, 68, 120] };
+            image.set_pixel(i % size, i / size, hair);
+        }
+        replace_background(&mut image, &alpha, 1.0);
+        for x in 20..32 {
+            let [r, _, b] = image.pixel(x, 30);
+            assert!(r > b + 20, "column {x}: {:?}", image.pixel(x, 30));
+        }
+        assert_eq!(image.pixel(33, 30), [20, 40, 220], "the background stays");
+    }
 
     #[test]
     fn a_mixed_edge_gets_its_foreground_back_and_the_inside_stays() {

@@ -31,7 +31,7 @@ fn blue_rim(clip: &Clip) -> f64 {
     for (pixel, alpha) in clip.frames.as_chunks::<3>().0.iter().zip(&clip.alpha) {
         if *alpha >= 25 {
             head += 1;
-            blue += usize::from(i32::from(pixel[2]) > i32::from(pixel[0]) + 40);
+            blue += usize::from(i32::from(pixel[2]) > i32::from(pixel[0]) + 8);
         }
     }
     blue as f64 / head.max(1) as f64
@@ -62,7 +62,7 @@ fn the_real_clip_becomes_a_head_with_landmarks() {
         assert_eq!((alpha(2.0, 100.0), alpha(189.0, 100.0)), (0, 0), "the wall is not");
     }
     let share = blue_rim(clip);
-    assert!(share < 0.004, "{:.2} % of the head is wall", 100.0 * share);
+    assert!(share < 0.002, "{:.2} % of the head is wall", 100.0 * share);
     let share = shirt(clip, observations);
     assert!(share < 0.01, "{:.2} % of what lies below the mouth is shirt", 100.0 * share);
     look(&recording);
