@@ -61,11 +61,11 @@ fn fill_slots<const C: usize>(prepared: &Prepared, frame: &Frame, gradient: &Fra
         on_transmittance: gradient.transmittance,
         width: frame.width,
     };
-    let slots = Slots(slots.as_mut_ptr());
+    let (visited, slots) = (prepared.visited(), Slots(slots.as_mut_ptr()));
     (0..prepared.tiles.columns * prepared.tiles.rows).into_par_iter().for_each(|index| {
         let job = prepared.job(index);
         if !job.entries.is_empty() {
-            raster::backward::<C>(&job, &picture, slots);
+            raster::backward::<C>(&job, &visited[prepared.entries_of(index)], &picture, slots);
         }
     });
 }

@@ -85,6 +85,32 @@ fn best_level() -> SimdLevel {
     SimdLevel::Baseline
 }
 
+/// What [`Lanes::exp2`] computes with: its least argument, 1.5·2²³, and the Chebyshev interpolation of 2^f on [−½, ½] from
+/// the fifth power down, relative error 1.0e-7 before rounding.
+pub(crate) const EXP2: [f32; 8] =
+    [-126.0, 12_582_912.0, 1.339_086_3e-3, 9.676_032e-3, 5.550_357e-2, 2.402_210_7e-1, 6.931_472e-1, 1.000_000_1];
+
+/// [`EXP2`], each constant in all lanes.
+#[derive(Clone, Copy)]
+pub(crate) struct Exp2<V: Lanes>([V; 8]);
+
+impl<V: Lanes> Exp2<V> {
+    /// From [`EXP2`]; a loop that lacks registers hides the constants from the compiler (`black_box`), which then keeps
+    /// vectors on the stack instead of filling a register with each anew.
+    ///
+    /// # Safety
+    /// Inside a function with the features of `V`.
+    #[inline(always)]
+    pub unsafe fn new(constants: [f32; 8]) -> Self {
+        let [a, b, c, d, e, f, g, h] = constants;
+        // SAFETY: the caller's contract.
+        unsafe {
+            let (a, b, c, d) = (V::splat(a), V::splat(b), V::splat(c), V::splat(d));
+            Self([a, b, c, d, V::splat(e), V::splat(f), V::splat(g), V::splat(h)])
+        }
+    }
+}
+
 /// A vector of `N` f32 values.
 ///
 /// # Safety
@@ -95,6 +121,8 @@ pub(crate) unsafe trait Lanes: Copy {
     const N: usize;
     /// Result of a comparison.
     type Mask: Copy;
+    /// Eight lanes of the level.
+    type Eight: EightLanes;
     unsafe fn splat(value: f32) -> Self;
     /// Reads `N` values; the pointer need not be aligned.
     unsafe fn load(from: *const f32) -> Self;
@@ -105,6 +133,7 @@ pub(crate) unsafe trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     unsafe fn div(self, other: Self) -> Self;
     unsafe fn sqrt(self) -> Self;
+    unsafe fn floor(self) -> Self;
     /// `self·factor + addend`.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// `addend − self·factor`.
@@ -149,19 +178,20 @@ pub(crate) unsafe trait Lanes: Copy {
     #[inline(always)]
     unsafe fn exp2(self) -> Self {
         // SAFETY: the caller's contract is this method's.
+        unsafe { self.exp2_by(&Exp2::new(EXP2)) }
+    }
+
+    /// [`Lanes::exp2`] with its constants held in vectors.
+    #[inline(always)]
+    unsafe fn exp2_by(self, by: &Exp2<Self>) -> Self {
+        // SAFETY: the caller's contract is this method's.
         unsafe {
-            let x = self.max(Self::splat(-126.0));
+            let [least, magic, p5, p4, p3, p2, p1, p0] = by.0;
+            let x = self.max(least);
             // Adding 1.5·2²³ leaves the nearest integer in the low mantissa bits.
-            let magic = Self::splat(12_582_912.0);
             let shifted = x.add(magic);
             let f = x.sub(shifted.sub(magic));
-            // Chebyshev interpolation of 2^f on [−½, ½], relative error 1.0e-7 before rounding.
-            let mut p = Self::splat(1.339_086_3e-3);
-            p = p.mul_add(f, Self::splat(9.676_032e-3));
-            p = p.mul_add(f, Self::splat(5.550_357e-2));
-            p = p.mul_add(f, Self::splat(2.402_210_7e-1));
-            p = p.mul_add(f, Self::splat(6.931_472e-1));
-            p = p.mul_add(f, Self::splat(1.000_000_1));
+            let p = p5.mul_add(f, p4).mul_add(f, p3).mul_add(f, p2).mul_add(f, p1).mul_add(f, p0);
             p.scale_exponent(shifted)
         }
     }
@@ -188,6 +218,16 @@ pub(crate) unsafe trait Lanes: Copy {
             p.mul_add(t, e)
         }
     }
+}
+
+/// What needs exactly eight lanes.
+///
+/// # Safety
+/// As [`Lanes`].
+pub(crate) unsafe trait EightLanes: Lanes {
+    /// For each lane a byte, the first lane's lowest, whose bit `k` says that some of the whole numbers `4k‥4k + 3` lie from
+    /// `low` to `high`.
+    unsafe fn fours(low: Self, high: Self) -> u64;
 }
 
 /// Runs a lane-generic function at the machine's level: `dispatch!(kernel, (C = 3), arguments…)` is written out by

@@ -6,10 +6,12 @@ use crate::bin::{MOST_PAIRS, Reached, TILE_HEIGHT, TILE_WIDTH, Tiles, bin, reach
 use crate::error::SplatError;
 use crate::gaussians::{Gaussians, MAX_CHANNELS};
 use crate::project::{RasterOptions, Splat, View, project};
-use crate::raster::{self, PlanePointers, RECORD_HEAD, TileJob};
-use crate::scratch::Scratch;
+use crate::raster::{self, Blocks, PlanePointers, RECORD_HEAD, TileJob};
+use crate::scratch::{Scratch, zeros};
 use heartian_space::Camera;
 use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Gaussians a task of the parallel loops over Gaussians takes.
@@ -29,6 +31,8 @@ pub struct Prepared {
     /// Kernel records of every Gaussian, stride `RECORD_HEAD + channels`; a zero head where it is not drawn.
     pub(crate) records: Scratch,
     pub(crate) tiles: Tiles,
+    /// The vectors of pixels that each entry visits, once the scene has been composited.
+    visited: OnceLock<Vec<Blocks>>,
 }
 
 /// A composited picture: planar, premultiplied over black.
@@ -145,6 +149,7 @@ pub fn prepare(gaussians: &Gaussians, camera: &Camera, options: &RasterOptions) 
         count: n,
         records,
         tiles,
+        visited: OnceLock::new(),
     })
 }
 
@@ -213,12 +218,28 @@ impl Prepared {
         self.tiles.entries.len()
     }
 
+    /// The vectors of pixels that each entry visits.
+    pub(crate) fn visited(&self) -> &[Blocks] {
+        match self.visited.get() {
+            Some(visited) => visited,
+            None => {
+                composite(self);
+                self.visited.get().map_or(&[], Vec::as_slice)
+            }
+        }
+    }
+
+    /// The entries of tile `index`.
+    pub(crate) fn entries_of(&self, index: usize) -> Range<usize> {
+        self.tiles.offsets[index] as usize..self.tiles.offsets[index + 1] as usize
+    }
+
     /// The job of tile `index`.
     pub(crate) fn job(&self, index: usize) -> TileJob<'_> {
         let origin = [index % self.tiles.columns * TILE_WIDTH, index / self.tiles.columns * TILE_HEIGHT];
         TileJob {
             records: &self.records,
-            entries: &self.tiles.entries[self.tiles.offsets[index] as usize..self.tiles.offsets[index + 1] as usize],
+            entries: &self.tiles.entries[self.entries_of(index)],
             origin,
             size: [TILE_WIDTH.min(self.camera.width - origin[0]), TILE_HEIGHT.min(self.camera.height - origin[1])],
         }
@@ -246,14 +267,23 @@ fn composite_channels<const C: usize>(prepared: &Prepared) -> Frame {
         transmittance: transmittance.as_mut_ptr(),
         width,
     };
-    (0..prepared.tiles.columns * prepared.tiles.rows).into_par_iter().for_each(|index| {
+    let mut visited: Vec<Blocks> = zeros(prepared.entries());
+    let (mut rest, mut tiles) = (&mut visited[..], Vec::with_capacity(prepared.tiles.columns * prepared.tiles.rows));
+    for index in 0..prepared.tiles.columns * prepared.tiles.rows {
+        let (own, others) = std::mem::take(&mut rest).split_at_mut(prepared.entries_of(index).len());
+        tiles.push(own);
+        rest = others;
+    }
+    tiles.into_par_iter().enumerate().for_each(|(index, visited)| {
         let job = prepared.job(index);
         match job.entries.is_empty() {
             // SAFETY: the planes have room for the picture, and tiles do not overlap.
             true => unsafe { out.clear(job.origin, job.size) },
-            false => raster::forward::<C>(&job, &out),
+            false => raster::forward::<C>(&job, visited, &out),
         }
     });
+    // A second time would have found the same.
+    let _ = prepared.visited.set(visited);
     // SAFETY: the tiles cover the picture, and each wrote all its pixels in every plane.
     unsafe {
         planes.set_len(prepared.features * pixels);

@@ -29,7 +29,7 @@ register!(BaselineTrainer);
 
 impl Node for BaselineTrainer {
     const KIND: &'static str = "BaselineTrainer";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const INPUTS: &'static [Port] =
         &[Port::one::<Clip>("clip", "The recording."), Port::one::<Track>("track", "The head tracked through it.")];
     const OUTPUTS: &'static [Port] = &[

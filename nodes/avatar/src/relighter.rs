@@ -35,7 +35,7 @@ register!(Relighter);
 
 impl Node for Relighter {
     const KIND: &'static str = "Relighter";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::one::<Avatar>("avatar", "What to render."),
         Port::one::<Track>("track", "How it moves."),

@@ -21,7 +21,7 @@ register!(Renderer);
 
 impl Node for Renderer {
     const KIND: &'static str = "Renderer";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::one::<Avatar>("avatar", "What to render."),
         Port::one::<Track>("track", "How it moves."),

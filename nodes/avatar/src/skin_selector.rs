@@ -50,7 +50,7 @@ const PERFUSION_REMEDY: &str = "give even, facial, or a PNG with strength in red
 
 impl Node for SkinSelector {
     const KIND: &'static str = "SkinSelector";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const INPUTS: &'static [Port] = &[
         Port::one::<Avatar>("avatar", "The fitted avatar."),
         Port::one::<Track>("track", "The track it was fitted to."),

@@ -25,7 +25,7 @@ register!(Turntable);
 
 impl Node for Turntable {
     const KIND: &'static str = "Turntable";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const INPUTS: &'static [Port] = &[Port::one::<Avatar>("avatar", "What to turn.")];
     const OUTPUTS: &'static [Port] = &[Port::one::<Clip>("clip", "The loop, labelled `turntable`.")];
 

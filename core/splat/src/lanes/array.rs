@@ -1,6 +1,6 @@
 //! Portable lanes: eight f32 in an array, masks as bits, no branches, so that any target's compiler can vectorise it.
 
-use super::Lanes;
+use super::{EightLanes, Lanes};
 
 /// Eight lanes.
 #[derive(Clone, Copy)]
@@ -24,6 +24,7 @@ fn bits(condition: bool) -> u32 {
 unsafe impl Lanes for Array {
     const N: usize = 8;
     type Mask = [u32; 8];
+    type Eight = Self;
 
     #[inline(always)]
     unsafe fn splat(value: f32) -> Self {
@@ -58,6 +59,10 @@ unsafe impl Lanes for Array {
     #[inline(always)]
     unsafe fn sqrt(self) -> Self {
         Self(self.0.map(f32::sqrt))
+    }
+    #[inline(always)]
+    unsafe fn floor(self) -> Self {
+        Self(self.0.map(f32::floor))
     }
     #[inline(always)]
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self {
@@ -154,5 +159,21 @@ unsafe impl Lanes for Array {
     unsafe fn sum(self) -> f32 {
         let [a, b, c, d, e, f, g, h] = self.0;
         ((a + e) + (c + g)) + ((b + f) + (d + h))
+    }
+}
+
+// SAFETY: plain Rust.
+unsafe impl EightLanes for Array {
+    #[inline(always)]
+    unsafe fn fours(low: Self, high: Self) -> u64 {
+        let mut bits = 0;
+        for lane in 0..8 {
+            let (first, last) =
+                (low.0[lane].ceil().clamp(0.0, 32.0) as i32, high.0[lane].floor().clamp(-1.0, 31.0) as i32);
+            if first <= last {
+                bits |= ((2u64 << (last >> 2)) - (1u64 << (first >> 2))) << (8 * lane);
+            }
+        }
+        bits
     }
 }

@@ -1,6 +1,6 @@
 //! Eight lanes by AVX2 and FMA.
 
-use super::Lanes;
+use super::{EightLanes, Lanes};
 use std::arch::x86_64::*;
 
 /// Eight lanes in one 256-bit register.
@@ -22,6 +22,7 @@ macro_rules! elementwise {
 unsafe impl Lanes for Avx2 {
     const N: usize = 8;
     type Mask = __m256;
+    type Eight = Self;
 
     elementwise! { add = _mm256_add_ps; sub = _mm256_sub_ps; mul = _mm256_mul_ps; div = _mm256_div_ps; min = _mm256_min_ps; max = _mm256_max_ps; }
 
@@ -40,6 +41,10 @@ unsafe impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn sqrt(self) -> Self {
         Self(unsafe { _mm256_sqrt_ps(self.0) })
+    }
+    #[inline(always)]
+    unsafe fn floor(self) -> Self {
+        Self(unsafe { _mm256_floor_ps(self.0) })
     }
     #[inline(always)]
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self {
@@ -121,6 +126,24 @@ unsafe impl Lanes for Avx2 {
             let mut out = [0.0; 8];
             _mm256_storeu_ps(out.as_mut_ptr(), _mm256_add_ps(low, high));
             out
+        }
+    }
+}
+
+// SAFETY: as above.
+unsafe impl EightLanes for Avx2 {
+    #[inline(always)]
+    unsafe fn fours(low: Self, high: Self) -> u64 {
+        // SAFETY: AVX2 is present by the trait's contract.
+        unsafe {
+            // What is beyond the range of i32 becomes its least value, which ends before it starts, or starts at 0.
+            let first = _mm256_cvttps_epi32(_mm256_max_ps(_mm256_ceil_ps(low.0), _mm256_setzero_ps()));
+            let last = _mm256_cvttps_epi32(_mm256_min_ps(_mm256_floor_ps(high.0), _mm256_set1_ps(31.0)));
+            let up_to = _mm256_sllv_epi32(_mm256_set1_epi32(2), _mm256_srai_epi32::<2>(last));
+            let before = _mm256_sllv_epi32(_mm256_set1_epi32(1), _mm256_srai_epi32::<2>(first));
+            let bits = _mm256_andnot_si256(_mm256_cmpgt_epi32(first, last), _mm256_sub_epi32(up_to, before));
+            let words = _mm_packus_epi32(_mm256_castsi256_si128(bits), _mm256_extracti128_si256::<1>(bits));
+            _mm_cvtsi128_si64(_mm_packus_epi16(words, words)) as u64
         }
     }
 }

@@ -22,6 +22,7 @@ macro_rules! elementwise {
 unsafe impl Lanes for Avx512 {
     const N: usize = 16;
     type Mask = __mmask16;
+    type Eight = super::Avx2;
 
     elementwise! { add = _mm512_add_ps; sub = _mm512_sub_ps; mul = _mm512_mul_ps; div = _mm512_div_ps; min = _mm512_min_ps; max = _mm512_max_ps; }
 
@@ -40,6 +41,10 @@ unsafe impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn sqrt(self) -> Self {
         Self(unsafe { _mm512_sqrt_ps(self.0) })
+    }
+    #[inline(always)]
+    unsafe fn floor(self) -> Self {
+        Self(unsafe { _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(self.0) })
     }
     #[inline(always)]
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self {

@@ -1,8 +1,8 @@
 //! What compositing alone costs on this machine: the kernels' own steps over one tile that stays in the first-level cache,
 //! every lane used, without spans, lists or branches. No rasteriser of this arithmetic can be faster.
 
-use super::backward::{SLOT_HEAD, State, Sums};
-use super::{IOTA, PIXELS, Plane, draw};
+use super::backward::{SLOT_HEAD, Seen, State, Sums};
+use super::{Blocks, Brush, Constants, PIXELS, Plane, RECORD_HEAD, VECTORS, paint};
 use crate::bin::{TILE_HEIGHT, TILE_WIDTH};
 use crate::lanes::{Lanes, dispatched, simd_level};
 use std::hint::black_box;
@@ -41,23 +41,30 @@ pub fn floor() -> Floor {
     Floor { forward_ns: least(&forward), backward_ns: least(&backward), lanes: simd_level().lanes() }
 }
 
-/// Calls `step(place, u, falloff, peak, dy)` for every vector of a tile and every splat: alphas about 0.02 around the
-/// tile's middle.
+/// Calls `pass` for every splat: alphas about 0.02 around the tile's
+/// middle.
 ///
 /// # Safety
 /// Inside a function with the features of `V`.
 #[inline(always)]
-unsafe fn every_vector<V: Lanes>(mut step: impl FnMut(usize, V, V, V, V)) {
+unsafe fn every_splat<V: Lanes>(mut pass: impl FnMut(&Brush<V, 3>)) {
+    let (half_width, half_height) = (0.5 * TILE_WIDTH as f32, 0.5 * TILE_HEIGHT as f32);
+    // SAFETY: the caller's contract.
+    let constants = unsafe { Constants::<V>::new() };
     for splat in 0..SPLATS {
-        for at in (0..PIXELS).step_by(V::N) {
-            // SAFETY: the caller's contract; `at % TILE_WIDTH + N ≤ TILE_WIDTH`.
-            unsafe {
-                let dy = (at / TILE_WIDTH) as f32 - 0.5 * TILE_HEIGHT as f32;
-                let u = V::load(IOTA.as_ptr().add(at % TILE_WIDTH)).add(V::splat(-0.25 * splat as f32));
-                step(at, u, V::splat(-1e-3), V::splat(-5.6 - 1e-3 * dy * dy), V::splat(dy));
-            }
-        }
+        let x = half_width + 0.1 * splat as f32;
+        let mut record = [x.floor(), half_height, x.fract(), 0.3, -1e-3, 0.1, 2e-3, -5.6, 0.0, 0.0, 0.0];
+        // As the rasteriser has it, a colour that the compiler does not know: folding the constant in makes slower code.
+        record[RECORD_HEAD..].copy_from_slice(&black_box(COLOR));
+        // SAFETY: the caller's contract.
+        let brush = unsafe { Brush::new(record.as_ptr(), [0, 0], &constants) };
+        pass(&brush);
     }
+}
+
+/// All of a tile's vectors; not known to the compiler.
+fn every_vector<V: Lanes>() -> Blocks {
+    black_box(if V::N == 8 { Blocks::MAX } else { 0x5555_5555_5555_5555 })
 }
 
 /// # Safety
@@ -67,9 +74,10 @@ unsafe fn forward_lanes<V: Lanes>() -> f32 {
     let (mut transmittance, mut planes) = (Plane::open([TILE_WIDTH, TILE_HEIGHT]), [Plane::ZERO; 3]);
     // SAFETY: every place lies inside a plane; V's features are here by contract.
     unsafe {
-        every_vector::<V>(
+        let mut alphas = [V::zero(); VECTORS];
+        every_splat::<V>(
             #[inline(always)]
-            |at, u, falloff, peak, _| draw((u, falloff, peak), &COLOR, at, &mut transmittance, &mut planes),
+            |brush| paint(brush, every_vector::<V>(), &mut alphas, (&mut transmittance, &mut planes)),
         );
     }
     transmittance.0[7] + planes[2].0[9]
@@ -84,11 +92,10 @@ unsafe fn backward_lanes<V: Lanes>() -> f32 {
     // SAFETY: every place lies inside a plane; V's features are here by contract.
     unsafe {
         let mut sums = Sums { moments: [V::zero(); SLOT_HEAD], on_features: [V::zero(); 3] };
-        // As the rasteriser has it, a colour that the compiler does not know: folding the constant in makes slower code.
-        let color = black_box(COLOR);
-        every_vector::<V>(
+        let mut seen = [Seen::none(); VECTORS];
+        every_splat::<V>(
             #[inline(always)]
-            |at, u, falloff, peak, dy| state.step((u, falloff, peak), &color, (at, dy), &mut sums),
+            |brush| state.pass::<V, false>(brush, every_vector::<V>(), &mut seen, &mut sums),
         );
         sums.moments.iter().chain(&sums.on_features).map(|sum| sum.sum()).sum()
     }

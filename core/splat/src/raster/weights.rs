@@ -2,8 +2,8 @@
 //!
 //! The kernels' own spans and blending, a splat at a time: it runs once a frame, not in a fitting loop.
 
-use super::{Batch, PIXELS, Plane, RECORD_HEAD, TileJob, Vectors, blend};
-use crate::bin::{Entry, TILE_WIDTH};
+use super::{Brush, Constants, PIXELS, Plane, RECORD_HEAD, TileJob, blend, fill, for_each_vector, pixel};
+use crate::bin::Entry;
 use crate::lanes::{Lanes, MAX_LANES, dispatched};
 
 /// Told of each Gaussian of a tile and of its (x, y, weight) pixels.
@@ -30,21 +30,26 @@ pub(crate) fn weights(job: &TileJob, channels: usize, visit: Visit<'_>) {
 /// Inside a function with the features of `V`.
 #[inline(always)]
 unsafe fn weigh_entry_lanes<V: Lanes>(job: &TileJob, transmittance: &mut Plane, found: &mut Vec<(usize, usize, f32)>) {
-    let mut batch = Batch::new();
+    let mut visited = [0];
     // SAFETY: as in `forward_tile`.
     unsafe {
-        batch.fill::<V, 0>(job, 0, Vectors::MAX);
-        let falloff = V::splat(job.records[4]);
-        batch.for_each_vector::<V>(
-            0,
+        fill::<V, 0>(job, job.entries, u64::MAX, &mut visited);
+        let constants = Constants::new();
+        let brush = Brush::<V, 0>::new(job.records.as_ptr(), job.origin, &constants);
+        for_each_vector(
+            visited[0],
             #[inline(always)]
-            |place, row, u, rows| {
-                let (at, x) = (transmittance.0.as_mut_ptr().add(place), place % TILE_WIDTH);
-                let step = blend(u, falloff, V::splat(rows.peak[row]), V::load(at));
-                step.next.store(at);
+            |_, place| {
+                let at = transmittance.0.as_mut_ptr().add(place);
+                let before = V::load(at);
+                let step = blend(brush.alpha::<true>(&brush.ellipse.offset(place)), before, &constants);
+                V::select(step.drawn, step.next, before.negative()).store(at);
                 let mut lanes = [0.0; MAX_LANES];
                 step.weight.store(lanes.as_mut_ptr());
-                found.extend(lanes.iter().enumerate().filter(|(_, w)| **w > 0.0).map(|(i, &w)| (x + i, row, w)));
+                found.extend(lanes.iter().enumerate().filter(|(_, w)| **w > 0.0).map(|(i, &w)| {
+                    let [x, y] = pixel(place + i);
+                    (x, y, w)
+                }));
             },
         );
     }
