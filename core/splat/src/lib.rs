@@ -25,6 +25,7 @@ mod loss;
 mod ply;
 mod project;
 mod raster;
+mod reach;
 pub mod reference;
 mod render;
 mod scratch;

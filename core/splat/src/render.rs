@@ -2,11 +2,12 @@
 //!
 //! What always holds: the same inputs give the same bits at any number of threads, for tiles are independent.
 
-use crate::bin::{MOST_PAIRS, Reached, TILE_HEIGHT, TILE_WIDTH, Tiles, bin, reach};
+use crate::bin::{MOST_PAIRS, TILE_HEIGHT, TILE_WIDTH, Tiles, bin};
 use crate::error::SplatError;
 use crate::gaussians::{Gaussians, MAX_CHANNELS};
 use crate::project::{RasterOptions, Splat, View, project};
 use crate::raster::{self, Blocks, PlanePointers, RECORD_HEAD, TileJob};
+use crate::reach::{Reached, reach};
 use crate::scratch::{Scratch, zeros};
 use heartian_space::Camera;
 use rayon::prelude::*;
