@@ -11,6 +11,9 @@ use crate::error::SplatError;
 use crate::fit::{AdamGroup, FitShape, LightRate, StepReport};
 
 impl GpuFitter {
+    /// Steps whose reports are kept.
+    pub const REPORTS: usize = 64;
+
     /// As the twin's.
     ///
     /// # Errors
