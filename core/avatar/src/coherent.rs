@@ -61,6 +61,11 @@ impl Neighbours {
         Self((0..positions.len()).into_par_iter().map(nearest).collect())
     }
 
+    /// One Gaussian's.
+    pub fn of(&self, index: usize) -> impl Iterator<Item = usize> + Clone {
+        self.0[index].iter().filter(|&&other| other != NONE).map(|&other| other as usize)
+    }
+
     /// All of them, one Gaussian's together.
     pub fn rows(&self) -> &[u32] {
         self.0.as_flattened()
@@ -83,7 +88,7 @@ impl Neighbours {
             .into_par_iter()
             .map(|index| {
                 let (place, albedo) = (of(&canonical.positions, index), of(&canonical.albedo_logits, index));
-                let near = self.0[index].iter().filter(|&&other| other != NONE).map(|&other| other as usize);
+                let near = self.of(index);
                 let count = near.clone().count();
                 if count == 0 {
                     return (place, albedo);

@@ -54,11 +54,13 @@ pub fn step_cost(avatar: &Avatar, clip: &Clip, repeats: usize) -> Result<[f64; S
     Ok(std::array::from_fn(|stage| medians[stage]))
 }
 
-/// Bytes of training state a Gaussian: parameters, gradients and both moments, and what density control counts.
+/// Bytes of training state a Gaussian: parameters, gradients, both moments and the ground's rest, and what density control
+/// counts and the ground doubts.
 pub fn state_bytes_per_gaussian(modes: usize) -> usize {
     let values: usize = Canonical::zeros(0, modes).widths().iter().sum();
     const STATISTICS: usize = 3;
-    (4 * values + STATISTICS) * size_of::<f32>()
+    const DOUBT_AND_KIND: usize = 2;
+    (5 * values + STATISTICS + DOUBT_AND_KIND) * size_of::<f32>()
 }
 
 struct Step<'a> {

@@ -60,20 +60,23 @@ pub(crate) struct Round {
 }
 
 /// Prunes and splits; the result has at most `budget` Gaussians and never none if there was one worth keeping.
-/// `pixels_per_metre` is the size of the head in the pictures.
-pub(crate) fn control(canonical: &Canonical, statistics: &Statistics, budget: usize, pixels_per_metre: f32) -> Round {
+/// What `keeps` names is not split, and dropped only where pictures made it transparent. `pixels_per_metre` is the size of the head in the pictures.
+pub(crate) fn control(
+    canonical: &Canonical,
+    statistics: &Statistics,
+    keeps: impl Fn(usize) -> bool,
+    (budget, pixels_per_metre): (usize, f32),
+) -> Round {
     let alive: Vec<u32> = (0..canonical.len() as u32)
         .filter(|&index| {
             let i = index as usize;
             let unseen = statistics.frames[i] > 0 && statistics.most_pixels[i] < LEAST_PIXELS;
-            !unseen
-                && !is_hidden(canonical, statistics, i, pixels_per_metre)
-                && statistics.frames[i] > 0
-                && canonical.opacity(i) >= LEAST_OPACITY
+            let needed = !unseen && !is_hidden(canonical, statistics, i, pixels_per_metre) && statistics.frames[i] > 0;
+            (needed || keeps(i)) && canonical.opacity(i) >= LEAST_OPACITY
         })
         .collect();
     let room = budget.saturating_sub(alive.len()).min((MOST_SPLIT * alive.len() as f32) as usize);
-    let mut by_pull = alive.clone();
+    let mut by_pull: Vec<u32> = alive.iter().copied().filter(|&index| !keeps(index as usize)).collect();
     by_pull.sort_by(|&a, &b| statistics.pull(b as usize).total_cmp(&statistics.pull(a as usize)).then(a.cmp(&b)));
     by_pull.truncate(room);
     let mut next = canonical.gather(&alive);
@@ -164,11 +167,13 @@ mod tests {
         let mut pixels = vec![1.0; 40];
         pixels[5] = 0.0;
         pixels[6] = 1e-4;
-        let round = control(&canonical, &seen(&pull, &pixels), 39, 500.0);
+        let round = control(&canonical, &seen(&pull, &pixels), |_| false, (39, 500.0));
         assert!(round.canonical.is_consistent() && round.canonical.first_not_finite().is_none());
         for gone in [3, 5, 6, 9] {
             assert!(!round.kept.contains(&Some(gone)), "{gone}");
         }
+        let kept = control(&canonical, &seen(&pull, &pixels), |i| [3, 5, 7].contains(&i), (39, 500.0)).kept;
+        assert!(kept.contains(&Some(5)) && kept.contains(&Some(7)) && !kept.contains(&Some(3)), "not the transparent");
         assert_eq!(round.canonical.len(), round.kept.len());
         assert_eq!(round.kept.iter().filter(|k| k.is_none()).count(), 4, "two parents, two twins");
         let total: f32 = (0..round.canonical.len())
@@ -188,7 +193,7 @@ mod tests {
         let gone = |pixels: f32| {
             let mut seen_of = [1.0; 10];
             seen_of[4] = pixels;
-            !control(&canonical, &seen(&[0.1; 10], &seen_of), 10, 1000.0).kept.contains(&Some(4))
+            !control(&canonical, &seen(&[0.1; 10], &seen_of), |_| false, (10, 1000.0)).kept.contains(&Some(4))
         };
         assert!(gone(1.5) && !gone(10.0));
     }
@@ -197,7 +202,7 @@ mod tests {
     fn the_budget_holds() {
         let canonical = scene(100);
         for budget in [0, 50, 100, 103, 1000] {
-            let round = control(&canonical, &seen(&[1.0; 100], &[1.0; 100]), budget, 500.0);
+            let round = control(&canonical, &seen(&[1.0; 100], &[1.0; 100]), |_| false, (budget, 500.0));
             assert!(round.canonical.len() <= budget.max(100));
         }
     }

@@ -13,6 +13,7 @@ use crate::canonical::{Canonical, GROUPS};
 use crate::coherent::Neighbours;
 use crate::deform::Motion;
 use crate::density::Statistics;
+use crate::ground::Ground;
 use crate::optimiser::{self, Rates};
 use crate::refine::Refiner;
 use crate::rig::{JOINTS, POSE_SIZE, Rig};
@@ -21,12 +22,13 @@ use crate::rig::{JOINTS, POSE_SIZE, Rig};
 pub(crate) const PICTURE: &str = concat!(include_str!("deform.wgsl"), include_str!("picture.wgsl"));
 const REFINE: &str = concat!(include_str!("rig.wgsl"), include_str!("refine.wgsl"));
 const COHERENT: &str = include_str!("coherent.wgsl");
+const GROUND: &str = include_str!("ground.wgsl");
 const DENSITY: &str = include_str!("density.wgsl");
 const TARGETS: &str = include_str!("train/targets.wgsl");
 
 /// All of them.
 #[cfg(test)]
-pub(crate) const TEXTS: [&str; 5] = [PICTURE, REFINE, COHERENT, DENSITY, TARGETS];
+pub(crate) const TEXTS: [&str; 6] = [PICTURE, REFINE, COHERENT, GROUND, DENSITY, TARGETS];
 
 /// Gaussians of a workgroup, but for the way back whose sums they are, too.
 pub(crate) const GROUP: usize = 64;
@@ -49,12 +51,15 @@ pub(crate) struct Values {
     pub refined: GpuBuffer,
     pub visits: GpuBuffer,
     pub statistics: GpuBuffer,
+    /// The ground: as laid out, and doubt and kind of each.
     rest: GpuBuffer,
+    doubts: GpuBuffer,
     neighbours: GpuBuffer,
     drawn: GpuBuffer,
     body: GpuBuffer,
     visit: GpuBuffer,
     sheet: GpuBuffer,
+    ground: GpuBuffer,
 }
 
 /// What values are made of.
@@ -64,7 +69,7 @@ pub(crate) struct Given<'a> {
     pub rig: &'a Rig,
     pub statistics: &'a Statistics,
     pub neighbours: &'a Neighbours,
-    pub rest: &'a [f32],
+    pub ground: &'a Ground,
 }
 
 /// Where the picture is taken from, and of what.
@@ -122,12 +127,14 @@ impl Values {
             refined: new("the refined poses", rows.len())?,
             visits: new("the refined poses", visits.len())?,
             statistics: new("the statistics", 4 * count)?,
-            rest: new("the places of rest", 3 * count)?,
+            rest: new("the ground", given.ground.rest.groups().iter().map(|group| group.len()).sum())?,
+            doubts: new("the ground", 2 * count)?,
             neighbours: new("the neighbours", given.neighbours.rows().len())?,
-            drawn: new("the neighbours' means", 6 * count)?,
+            drawn: new("the neighbours' means", 8 * count)?,
             body: GpuBuffer::constants(gpu, &[0; 8])?,
             visit: GpuBuffer::constants(gpu, &visit)?,
             sheet: GpuBuffer::constants(gpu, &[0; 8])?,
+            ground: GpuBuffer::constants(gpu, &[0; 12])?,
         };
         bring(given.canonical, values.adam.parameters())?;
         values.tracked.write_floats(0, &tracked)?;
@@ -136,7 +143,10 @@ impl Values {
         let s = given.statistics;
         let rows = s.gradient_sum.iter().zip(&s.frames).zip(&s.most_pixels);
         values.statistics.write(0, &bits(rows.flat_map(|((sum, frames), most)| [*sum, *frames as f32, *most, 0.0])))?;
-        values.rest.write_floats(0, given.rest)?;
+        bring(&given.ground.rest, &values.rest)?;
+        let doubts = given.ground.doubt.iter().zip(&given.ground.kind);
+        let doubts: Vec<f32> = doubts.flat_map(|(doubt, kind)| [*doubt, f32::from(*kind)]).collect();
+        values.doubts.write_floats(0, &doubts)?;
         values.neighbours.write(0, given.neighbours.rows())?;
         Ok(values)
     }
@@ -164,6 +174,7 @@ impl Values {
         self.adam.set_rates(&rates)?;
         self.visit.write(0, &[frame as u32])?;
         self.visit.write_floats(3, &[decay])?;
+        self.ground.write(0, &crate::ground::constants([self.count, self.modes], decay))?;
         self.sheet.write(0, &crate::coherent::constants(self.count, decay))
     }
 
@@ -223,6 +234,11 @@ impl Values {
         smooth.add(&GpuCall { text: COHERENT, entry: "draw", bindings: &bindings, workgroups })?;
         let bindings = [sheet, (1, parameters), drawn, status];
         smooth.add(&GpuCall { text: COHERENT, entry: "settle", bindings: &bindings, workgroups })?;
+        let (ground, rest, doubts) = ((0, &self.ground), (2, &self.rest), (6, &self.doubts));
+        let bindings = [ground, (1, parameters), rest, (3, &self.neighbours), drawn, status, doubts];
+        smooth.add(&GpuCall { text: GROUND, entry: "draw", bindings: &bindings, workgroups })?;
+        let bindings = [ground, (1, parameters), rest, drawn, status, doubts];
+        smooth.add(&GpuCall { text: GROUND, entry: "settle", bindings: &bindings, workgroups })?;
         Ok(smooth)
     }
 }

@@ -3,17 +3,22 @@
 //!
 //! A disc lies in its triangle's plane, third axis along the outward normal, its size set by the spacing of its
 //! neighbours. Skinning weights and displacement bases are interpolated barycentrically. A free Gaussian is put at the
-//! depth of the nearest surface in the picture and moves with it.
+//! depth of the nearest surface in the picture and moves with it. The whole outside of the head is covered, as far as the
+//! mattes allow; what no frame saw is the ground (`ground.rs`).
 
 use glam::{DMat4, Mat3, Quat, Vec2, Vec3};
-use heartian_face::{Basis, HeadModel, vertex_normals};
+use heartian_face::{Basis, HeadModel, Region, vertex_normals};
 use heartian_space::{Camera, Clip};
 use heartian_splat::logit;
 
 use crate::canonical::Canonical;
+use crate::ground::Ground;
 use crate::motion::{FrameState, MotionModel};
 use crate::rig::JOINTS;
-use crate::sample::{SurfacePoint, at_point, sample_surface, triangle_shares};
+use crate::sample::{
+    SurfacePoint, at_point, cover_outside, is_outside, sample_surface, triangle_region, triangle_shares,
+};
+use crate::sight::Sight;
 use crate::surface::{MeshView, NOTHING};
 
 /// Standard deviation of a disc in units of the spacing to its neighbours: neighbours overlap at 0.7 of their peak.
@@ -29,6 +34,16 @@ const REFLECTANCE_LOGIT: f32 = -3.0;
 const SCALE_RANGE_METRES: [f32; 2] = [2e-4, 1.2e-2];
 /// Largest part of the budget that free Gaussians may take.
 const FREE_SHARE: f32 = 0.4;
+
+/// What is less solid than this is not covered where no frame looked: it is not of the head, but beyond the cut.
+const LEAST_MATTE: f32 = 0.25;
+/// Gaussians lie no farther apart than this on the outside of the head, metres.
+const COVER_SPACING_METRES: f32 = 6e-3;
+/// Doubt of what the mattes show fading out.
+const FADING_DOUBT: f32 = 0.6;
+/// A doubtful Gaussian is this opaque, and this part wider.
+const GROUND_OPACITY: f32 = 0.97;
+const GROUND_WIDER: f32 = 0.3;
 
 /// What the first Gaussians are made from.
 pub(crate) struct Scaffold<'a> {
@@ -61,8 +76,8 @@ impl Scaffold<'_> {
         self.views.iter().map(view).collect()
     }
 
-    /// Lays out about `budget` Gaussians; colours are mid-grey until they are read.
-    pub fn lay_out(&self, mesh_views: &[MeshView], budget: usize) -> Canonical {
+    /// Lays out about `budget` Gaussians, and what they stand on but for its rest; colours are mid-grey until they are read.
+    pub fn lay_out(&self, mesh_views: &[MeshView], budget: usize) -> (Canonical, Ground) {
         let covered = mean(mesh_views.iter().map(|view| view.triangle.iter().filter(|t| **t != NOTHING).count()));
         let uncovered = mean(self.views.iter().zip(mesh_views).map(|((frame, _), view)| {
             let alpha = self.clip.frame_alpha(*frame);
@@ -72,13 +87,35 @@ impl Scaffold<'_> {
         let free_budget = (budget as f32 * free_share) as usize;
         let normals = vertex_normals(&self.head.vertices, &self.head.triangles);
         let mut canonical = Canonical::zeros(0, self.basis.count);
-        for point in sample_surface(self.head, &triangle_shares(self.head, mesh_views), budget - free_budget) {
-            let anchor = Anchor::on(self, &point);
+        let mut ground = Ground { rest: Canonical::default(), doubt: Vec::new(), kind: Vec::new() };
+        let Sight { doubt, matte, inset_metres } = Sight::new(self, mesh_views);
+        let points = budget - free_budget;
+        let mut shares = triangle_shares(self.head, mesh_views);
+        let keep: Vec<f32> = self
+            .head
+            .triangles
+            .iter()
+            .map(|t| t.iter().map(|&v| matte[v as usize]).fold(0.0, f32::max) - LEAST_MATTE)
+            .collect();
+        cover_outside(self.head, &mut shares, &keep, (points, COVER_SPACING_METRES));
+        for point in sample_surface(self.head, &shares, points) {
+            let mut anchor = Anchor::on(self, &point);
+            let region = triangle_region(self.head, self.head.triangles[point.triangle as usize]);
             let normal = Vec3::from_array(at_point(self.head, &point, |vertex| normals[vertex]));
-            push(&mut canonical, &anchor, normal, point.spacing_metres, OPACITY[0]);
+            let [doubt, matte, inset] =
+                at_point(self.head, &point, |vertex| [doubt[vertex], matte[vertex], inset_metres[vertex]]);
+            let doubt = if is_outside(region) { doubt.max(FADING_DOUBT * (1.0 - matte)) } else { 0.0 };
+            let inset = inset * doubt * normal.normalize_or_zero();
+            anchor.position = (Vec3::from_array(anchor.position) - inset).to_array();
+            let opacity = OPACITY[0] + doubt * (GROUND_OPACITY * matte - OPACITY[0]);
+            push(&mut canonical, &anchor, normal, point.spacing_metres * (1.0 + GROUND_WIDER * doubt), opacity);
+            ground.doubt.push(doubt);
+            ground.kind.push(u8::from(region == Region::Scalp));
         }
         self.lay_out_free(mesh_views, free_budget, &mut canonical);
-        canonical
+        ground.doubt.resize(canonical.len(), 0.0);
+        ground.kind.resize(canonical.len(), 0);
+        (canonical, ground)
     }
 
     /// Free Gaussians, a grid of pixels at a time, frame after frame, where no earlier one lands.
@@ -144,8 +181,9 @@ impl Scaffold<'_> {
             let Some(pixel) = self.camera.project(Vec3::new(world[0], world[1], world[2])) else { continue };
             let (width, height) = (self.camera.width as i64, self.camera.height as i64);
             let reach = step as i64;
-            for y in (pixel.y as i64 - reach).max(0)..(pixel.y as i64 + reach + 1).min(height) {
-                for x in (pixel.x as i64 - reach).max(0)..(pixel.x as i64 + reach + 1).min(width) {
+            let (px, py) = (pixel.x as i64, pixel.y as i64);
+            for y in py.saturating_sub(reach).max(0)..py.saturating_add(reach + 1).min(height) {
+                for x in px.saturating_sub(reach).max(0)..px.saturating_add(reach + 1).min(width) {
                     taken[(y * width + x) as usize] = true;
                 }
             }

@@ -20,8 +20,9 @@
 //!   its result depend on what else is in the batch; what that teaches is carried to frames outside training.
 //! * Density control works under a budget, by what a Gaussian gives to any picture, and splits both small and large ones;
 //!   the baseline's size limit splits nearly all, and its pruning by size never fires.
+//! * What no frame saw is closed: the scalp is drawn out to the hair (`hull.rs`), and unseen Gaussians are held to the mesh
+//!   and take the colours of seen ones (`ground.rs`). The baseline leaves holes and floaters there.
 //! * Adam's guard is above the rounding of the gradients: at 1e-15 hidden Gaussians walk at random.
-//! * A skinning weight of exactly 0 stays 0, as there: skinning stays as sparse as the mesh's.
 
 mod avatar;
 mod bake;
@@ -36,6 +37,8 @@ mod device;
 mod error;
 mod evaluate;
 mod frozen;
+mod ground;
+mod hull;
 mod initialise;
 mod light;
 mod linear;
@@ -50,6 +53,7 @@ mod refine;
 mod render;
 mod rig;
 mod sample;
+mod sight;
 mod skin;
 mod surface;
 #[cfg(test)]

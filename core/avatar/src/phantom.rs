@@ -54,7 +54,11 @@ pub(crate) fn head() -> HeadModel {
 
 /// The ball turning and breathing for `frames` frames of `size × size`, and the poses that were filmed.
 pub(crate) fn recording(size: usize, frames: usize) -> (Clip, Track) {
-    let head = head();
+    recording_of(&head(), size, frames)
+}
+
+/// The same of another head of the same make.
+pub(crate) fn recording_of(head: &HeadModel, size: usize, frames: usize) -> (Clip, Track) {
     let camera = Camera::at_origin(size, size, 3.2 * size as f32);
     let times_seconds: Vec<f64> = (0..frames).map(|t| t as f64 / 25.0).collect();
     let poses: Vec<FramePose> = (0..frames)
@@ -74,14 +78,14 @@ pub(crate) fn recording(size: usize, frames: usize) -> (Clip, Track) {
         let posed = head.pose(pose);
         let view = MeshView::new(&posed, &head.triangles, &camera);
         for pixel in 0..size * size {
-            let color = color(&head, &posed, &view, pixel);
+            let color = color(head, &posed, &view, pixel);
             sequence.alpha.push(if color.is_some() { 255 } else { 0 });
             sequence.frames.extend(color.unwrap_or([0.0; 3]).map(|c| quantise(srgb_from_linear(c))));
         }
     }
     let clip = Clip::new("input", size, size, sequence).unwrap_or_else(|error| panic!("{error}"));
     let track = Track {
-        head,
+        head: head.clone(),
         identity: Vec::new(),
         camera,
         frames: poses,

@@ -33,8 +33,17 @@ pub struct RenderOptions<'a> {
     pub gpu: Option<&'a Arc<Gpu>>,
 }
 
-/// A frame's colours (RGB) and matte.
-type Pixels = (Vec<u8>, Vec<u8>);
+/// Where a frame's colours (RGB) and matte go.
+struct PixelsMut<'a> {
+    colors: &'a mut [u8],
+    alpha: &'a mut [u8],
+}
+
+impl<'a> From<(&'a mut [u8], &'a mut [u8])> for PixelsMut<'a> {
+    fn from((colors, alpha): (&'a mut [u8], &'a mut [u8])) -> Self {
+        Self { colors, alpha }
+    }
+}
 
 /// Renders every frame of a track.
 ///
@@ -73,24 +82,21 @@ pub(crate) fn render_states(
         }
         scene
     };
-    let frames: Vec<Pixels> = match options.gpu {
+    let pixels = camera.width * camera.height;
+    let (mut colors, mut alpha) = (vec![0; 3 * pixels * states.len()], vec![0; pixels * states.len()]);
+    let frames =
+        (colors.chunks_exact_mut((3 * pixels).max(1)).zip(alpha.chunks_exact_mut(pixels.max(1)))).map(PixelsMut::from);
+    match options.gpu {
         Some(gpu) => {
             let (camera, modulation) = (&camera, options.modulation);
-            device::frames(gpu, &device::Shown { avatar, camera, environment, states, modulation })?
+            device::frames(gpu, &device::Shown { avatar, camera, environment, states, modulation }, frames.collect())?;
         }
-        None => (0..states.len())
-            .into_par_iter()
-            .map(|index| {
-                let picture = scene(index).picture(&camera)?;
-                let linear = shade(&picture.frame, &camera, environment)?;
-                Ok(quantised(&picture.frame, &srgb_encode(&linear)))
-            })
-            .collect::<Result<_, AvatarError>>()?,
-    };
-    let (mut colors, mut alpha) = (Vec::new(), Vec::new());
-    for (frame_colors, frame_alpha) in frames {
-        colors.extend(frame_colors);
-        alpha.extend(frame_alpha);
+        None => frames.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(|(index, frame)| {
+            let picture = scene(index).picture(&camera)?;
+            let linear = shade(&picture.frame, &camera, environment)?;
+            quantise(&picture.frame, &srgb_encode(&linear), frame);
+            Ok::<(), AvatarError>(())
+        })?,
     }
     let sequence = Sequence { frames: colors, alpha, times_seconds: times_seconds.to_vec() };
     Ok(Clip::new(options.label, camera.width, camera.height, sequence)?)
@@ -108,22 +114,15 @@ fn check_modulation(avatar: &Avatar, frames: usize, options: &RenderOptions<'_>)
     }
 }
 
-/// Straight 8-bit colours and matte of a picture composited over black (planes, sRGB-encoded).
-fn quantised(frame: &Frame, encoded: &[f32]) -> Pixels {
+/// Straight 8-bit colours and matte of a picture composited over black (planes, sRGB-encoded); written over zeros.
+fn quantise(frame: &Frame, encoded: &[f32], to: PixelsMut<'_>) {
     let pixels = frame.width * frame.height;
-    let mut colors = vec![0u8; 3 * pixels];
-    let mut alpha = vec![0u8; pixels];
-    for pixel in 0..pixels {
-        let solid = 1.0 - frame.transmittance[pixel];
-        let matte = color::quantise(solid);
-        alpha[pixel] = matte;
+    for (pixel, (color, matte)) in to.colors.as_chunks_mut::<3>().0.iter_mut().zip(to.alpha).enumerate() {
+        *matte = color::quantise(1.0 - frame.transmittance[pixel]);
         // Divided by the matte as it is stored, so that compositing gives back what was rendered.
-        let unit = f32::from(matte) / 255.0;
-        if matte > 0 {
-            for channel in 0..3 {
-                colors[3 * pixel + channel] = color::quantise(encoded[channel * pixels + pixel] / unit);
-            }
+        let unit = f32::from(*matte) / 255.0;
+        if *matte > 0 {
+            *color = std::array::from_fn(|channel| color::quantise(encoded[channel * pixels + pixel] / unit));
         }
     }
-    (colors, alpha)
 }

@@ -63,6 +63,40 @@ pub fn triangle_shares(head: &HeadModel, views: &[MeshView]) -> Vec<f32> {
     head.triangles.iter().enumerate().map(share).collect()
 }
 
+/// Whether a region is of the outside of the head; the others are seen through lids and lips alone.
+pub fn is_outside(region: Region) -> bool {
+    !matches!(region, Region::EyeLeft | Region::EyeRight | Region::Mouth)
+}
+
+/// Lifts shares so that of `count` points no stretch of the outside of the head gets less than one in a square of side
+/// `spacing_metres`, as long as that takes no more than half of the points. `keep` says how much of each triangle is wanted.
+pub fn cover_outside(head: &HeadModel, shares: &mut [f32], keep: &[f32], (count, spacing_metres): (usize, f32)) {
+    let wanted: Vec<f32> = head
+        .triangles
+        .iter()
+        .zip(keep)
+        .map(|(triangle, keep)| {
+            let outside = is_outside(triangle_region(head, *triangle)) && *keep > 0.0;
+            if outside { 0.5 * area_vector(head, *triangle).length() / spacing_metres.powi(2) } else { 0.0 }
+        })
+        .collect();
+    let whole: f32 = wanted.iter().sum();
+    let most = 0.5 * count as f32;
+    let thinned = if whole > most { most / whole } else { 1.0 };
+    // Points that a unit of share is worth; what is lifted takes from all others, so this settles in a few rounds.
+    let start = shares.to_vec();
+    for _ in 0..8 {
+        let total: f32 = shares.iter().sum();
+        let per_point = total / count.max(1) as f32;
+        if !(per_point > 0.0) {
+            return;
+        }
+        for ((share, start), wanted) in shares.iter_mut().zip(&start).zip(&wanted) {
+            *share = start.max(thinned * wanted * per_point);
+        }
+    }
+}
+
 /// Draws about `count` points, in order of their triangles. Empty when no triangle has a share.
 pub fn sample_surface(head: &HeadModel, shares: &[f32], count: usize) -> Vec<SurfacePoint> {
     let total: f64 = shares.iter().map(|share| f64::from(*share)).sum();

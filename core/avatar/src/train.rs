@@ -25,8 +25,10 @@ use crate::canonical::Canonical;
 use crate::coherent::{Neighbours, hold_flat};
 use crate::color::observed_colors;
 use crate::deform::deform;
-use crate::density::{Round, Statistics, control};
+use crate::density::{Statistics, control};
 use crate::evaluate::{Score, evaluate_states};
+use crate::ground::Ground;
+use crate::hull::with_hair;
 use crate::initialise::Scaffold;
 use crate::light::{LightSample, fit_light, irradiance};
 use crate::motion::{FittedMotion, FrameState, MotionModel};
@@ -179,8 +181,8 @@ struct Fit<'a> {
     statistics: Statistics,
     /// Of the present Gaussians.
     neighbours: Neighbours,
-    /// `N×3`: where they were laid out, from which displacements are counted.
-    rest: Vec<f32>,
+    /// As they were laid out, and where that is to be believed rather than pictures.
+    ground: Ground,
     /// Of one step; kept, because clearing it is cheaper than asking for fresh memory.
     gradient: Canonical,
     training: usize,
@@ -199,16 +201,22 @@ impl<'a> Fit<'a> {
         let states: Vec<FrameState> = track.frames.iter().map(|pose| model.state(pose)).collect();
         let views: Vec<(usize, FrameState)> =
             views(track, training).into_iter().map(|frame| (frame, states[frame].clone())).collect();
-        let scaffold = Scaffold { clip, camera: track.camera, head, model: &model, basis: &basis, views: &views };
+        let bald = Scaffold { clip, camera: track.camera, head, model: &model, basis: &basis, views: &views };
+        let hairy = with_hair(&bald);
+        let scaffold = Scaffold { head: &hairy, ..bald };
         let mesh_views: Vec<MeshView> = scaffold.mesh_views();
         // Some room is left for density control to put Gaussians where they are missed.
-        let mut canonical = scaffold.lay_out(&mesh_views, options.gaussians * 4 / 5);
+        let (mut canonical, mut ground) = scaffold.lay_out(&mesh_views, options.gaussians * 4 / 5);
         if canonical.is_empty() {
             let remedy = "the tracked head lies outside every picture; track the clip again";
             return Err(AvatarError::TooLittle { what: "no part of the head is in sight", found: 0, remedy });
         }
         let colors = observed_colors(&scaffold, &mesh_views, &canonical);
         canonical.albedo_logits = colors.iter().flatten().map(|c| logit(c.clamp(0.003, 0.97))).collect();
+        let neighbours = Neighbours::new(&canonical);
+        ground.rest = canonical.clone();
+        let unseen = vec![0.0; canonical.len()];
+        ground.finish(&mut canonical, &neighbours, &unseen);
         Ok(Self {
             clip,
             track,
@@ -221,8 +229,8 @@ impl<'a> Fit<'a> {
                 .map(|gpu| Resident::new(&gpu, clip, training, Schedule::new(options.steps)))
                 .transpose()?,
             statistics: Statistics::new(canonical.len()),
-            neighbours: Neighbours::new(&canonical),
-            rest: canonical.positions.clone(),
+            neighbours,
+            ground,
             gradient: Canonical::zeros(canonical.len(), canonical.modes),
             training,
             model,
@@ -304,16 +312,18 @@ impl<'a> Fit<'a> {
         }
         self.optimiser.step(&mut self.canonical, &self.gradient, &schedule.rates(step))?;
         if (step + 1).is_multiple_of(SMOOTH_EVERY) {
-            self.neighbours.smooth(&mut self.canonical, &self.rest, schedule.decay(step));
+            self.neighbours.smooth(&mut self.canonical, &self.ground.rest.positions, schedule.decay(step));
             hold_flat(&mut self.canonical);
+            self.ground.hold(&mut self.canonical, &self.neighbours, schedule.decay(step));
         }
         Ok(loss)
     }
 
     fn control_density(&mut self) {
-        let round = control(&self.canonical, &self.statistics, self.options.gaussians, self.pixels_per_metre());
+        let limits = (self.options.gaussians, self.pixels_per_metre());
+        let round = control(&self.canonical, &self.statistics, |index| self.ground.keeps(index), limits);
         self.optimiser.regroup(&round.kept, round.canonical.widths());
-        self.rest = rest_of(&round, &self.canonical.positions, &self.rest);
+        self.ground.regroup(&round, &self.canonical);
         self.canonical = round.canonical;
         self.statistics = Statistics::new(self.canonical.len());
         self.gradient = Canonical::zeros(self.canonical.len(), self.canonical.modes);
@@ -362,7 +372,8 @@ impl<'a> Fit<'a> {
         deformed.rotations.as_chunks::<4>().0.iter().zip(deformed.positions.as_chunks::<3>().0).map(of).collect()
     }
 
-    fn finish(self) -> Avatar {
+    fn finish(mut self) -> Avatar {
+        self.ground.finish(&mut self.canonical, &self.neighbours, &self.statistics.most_pixels);
         Avatar {
             canonical: self.canonical,
             motion: self.model,
@@ -373,16 +384,6 @@ impl<'a> Fit<'a> {
             training_frames: self.training,
         }
     }
-}
-
-/// Places of rest after a round: a child's is its parent's, moved as the split moved it.
-fn rest_of(round: &Round, before: &[f32], rest: &[f32]) -> Vec<f32> {
-    let now = round.canonical.positions.chunks_exact(3).zip(&round.parents);
-    now.flat_map(|(now, &parent)| {
-        let old = 3 * parent as usize;
-        (0..3).map(move |k| rest[old + k] + now[k] - before[old + k])
-    })
-    .collect()
 }
 
 /// Whether the live figure gained too little over the last twentieth of the plan.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use heartian_space::{Camera, Modulation};
 use heartian_splat::{Environment, Gpu, GpuBuffer, GpuCall, GpuKernels, GpuPresenter, SplatError};
 
-use super::Pixels;
+use super::PixelsMut;
 use crate::AvatarError;
 use crate::avatar::Avatar;
 use crate::device::{GROUP, PICTURE, body_words, bring, motion_words};
@@ -21,33 +21,34 @@ pub(super) struct Shown<'a> {
     pub modulation: Option<&'a Modulation>,
 }
 
-/// Colours and matte of every state.
+/// Renders every state, each to its place.
 ///
 /// # Errors
 /// When the device cannot hold the avatar, or failed.
-pub(super) fn frames(gpu: &Arc<Gpu>, shown: &Shown<'_>) -> Result<Vec<Pixels>, AvatarError> {
-    let count = shown.states.len();
+pub(super) fn frames(gpu: &Arc<Gpu>, shown: &Shown<'_>, mut places: Vec<PixelsMut<'_>>) -> Result<(), AvatarError> {
     let there = There::new(gpu, shown)?;
     let mut presenter = GpuPresenter::new(gpu)?;
     let mut kernels = there.record(&mut presenter, shown)?;
-    let mut frames = Vec::with_capacity(count);
-    let mut sent = 0;
-    while frames.len() < count {
-        while sent < count && presenter.in_flight() < GpuPresenter::AHEAD {
+    let (mut sent, mut done) = (0, 0);
+    while done < places.len() {
+        while sent < places.len() && presenter.in_flight() < GpuPresenter::AHEAD {
             there.set(shown, sent)?;
             presenter.submit_made(&[&kernels])?;
             sent += 1;
         }
         match presenter.collect()? {
-            Some(codes) => frames.push(split(&codes)),
+            Some(codes) => {
+                split(&codes, &mut places[done]);
+                done += 1;
+            }
             // It had no room and has now: this frame and those behind it are sent again.
             None => {
-                sent = frames.len();
+                sent = done;
                 kernels = there.record(&mut presenter, shown)?;
             }
         }
     }
-    Ok(frames)
+    Ok(())
 }
 
 /// The avatar there.
@@ -129,12 +130,9 @@ impl Tint {
 }
 
 /// Colours and matte of pixels of four bytes.
-fn split(codes: &[u8]) -> Pixels {
-    let pixels = codes.as_chunks::<4>().0;
-    let (mut colors, mut alpha) = (Vec::with_capacity(3 * pixels.len()), Vec::with_capacity(pixels.len()));
-    for [r, g, b, matte] in pixels {
-        colors.extend_from_slice(&[*r, *g, *b]);
-        alpha.push(*matte);
+fn split(codes: &[u8], to: &mut PixelsMut<'_>) {
+    let places = to.colors.as_chunks_mut::<3>().0.iter_mut().zip(to.alpha.iter_mut());
+    for ([r, g, b, a], (color, matte)) in codes.as_chunks::<4>().0.iter().zip(places) {
+        (*color, *matte) = ([*r, *g, *b], *a);
     }
-    (colors, alpha)
 }

@@ -16,6 +16,7 @@ use crate::canonical::Canonical;
 use crate::coherent::{Neighbours, hold_flat};
 use crate::density::Statistics;
 use crate::device::{Given, Kernels, Values, View};
+use crate::ground::Ground;
 use crate::motion::FrameState;
 use crate::optimiser::Rates;
 use crate::picture::{Features, Scene};
@@ -67,7 +68,7 @@ struct Case {
     refiner: Refiner,
     rig: Rig,
     camera: Camera,
-    rest: Vec<f32>,
+    ground: Ground,
 }
 
 impl Case {
@@ -96,8 +97,11 @@ impl Case {
         for visit in 0..3 * FRAMES {
             refiner.step(visit % FRAMES, (0..POSE_SIZE + MODES).map(|_| f64::from(next())), 0.5);
         }
-        let rest = canonical.positions.iter().map(|p| p + 0.01 * next()).collect();
-        Self { canonical, refiner, rig, camera: Camera::at_origin(48, 40, 70.0), rest }
+        let mut rest = canonical.clone();
+        rest.groups_mut().into_iter().flatten().for_each(|v| *v += 0.01 * next());
+        let doubt = (0..COUNT).map(|i| if i % 4 == 0 { 0.0 } else { 0.5 + 0.5 * next() }).collect();
+        let ground = Ground { rest, doubt, kind: (0..COUNT).map(|i| u8::from(i % 3 == 0)).collect() };
+        Self { canonical, refiner, rig, camera: Camera::at_origin(48, 40, 70.0), ground }
     }
 
     fn motion(&self) -> Motion {
@@ -122,7 +126,7 @@ impl There {
             rig: &case.rig,
             statistics: &Statistics::new(COUNT),
             neighbours: &Neighbours::new(&case.canonical),
-            rest: &case.rest,
+            ground: &case.ground,
         };
         let values = Values::new(gpu, &given)?;
         let camera = &case.camera;
@@ -281,8 +285,10 @@ fn neighbours_draw_each_other_as_on_the_cpu_and_a_stop_holds_all() -> Result<(),
     assert!(state(&there)? == before, "a stopped step changes nothing");
     there.scene.status.write(0, &[0])?;
     there.kernels.smooth.submit()?;
-    Neighbours::new(&case.canonical).smooth(&mut case.canonical, &case.rest, 0.5);
+    let neighbours = Neighbours::new(&case.canonical);
+    neighbours.smooth(&mut case.canonical, &case.ground.rest.positions, 0.5);
     hold_flat(&mut case.canonical);
+    case.ground.hold(&mut case.canonical, &neighbours, 0.5);
     let found = there.floats(there.values.adam.parameters())?;
     let exact = case.canonical.groups().into_iter().flatten().map(|v| f64::from(*v));
     let error = off(&found, exact);

@@ -29,6 +29,20 @@ fn a_turntable_is_a_loop_that_starts_at_the_front() -> Result<(), AvatarError> {
     Ok(())
 }
 
+/// No frame ever showed the back of the ball: it is closed all the same.
+#[test]
+fn the_back_of_the_head_is_closed() -> Result<(), AvatarError> {
+    let (_, _, avatar, _) = fitted()?;
+    let options = TurntableOptions { seconds: 4.0, frames_per_second: 1.0, most_degrees: 180.0, ..Default::default() };
+    let clip = turntable(&avatar, None, &options)?;
+    let (front, back) = (0, 1);
+    assert!(covered(&clip, back) as f64 > 0.93 * covered(&clip, front) as f64);
+    // The middle of the picture, half a radius around.
+    let mut middle = (22..42).flat_map(|x| (22..42).map(move |y| y * clip.width + x));
+    assert!(middle.all(|pixel| clip.frame_alpha(back)[pixel] > 230));
+    Ok(())
+}
+
 #[test]
 fn a_baked_pose_looks_like_its_frame_to_a_program_that_knows_no_light() -> Result<(), AvatarError> {
     let (_, track, avatar, _) = fitted()?;

@@ -13,6 +13,7 @@ use super::schedule::FrameOrder;
 use crate::canonical::{Canonical, GROUPS};
 use crate::coherent::Neighbours;
 use crate::density::Statistics;
+use crate::ground::Ground;
 use crate::optimiser::{Optimiser, options};
 
 /// Forgetting of the live figure.
@@ -55,6 +56,10 @@ pub(super) fn save(fit: &Fit<'_>, course: &Course) -> Result<Vec<u8>, ArtifactEr
     let names: [[String; 3]; GROUPS] =
         std::array::from_fn(|group| ["values", "first", "second"].map(|part| format!("{part}.{group}")));
     let mut bundle = Bundle::new();
+    let rests: [String; GROUPS] = std::array::from_fn(|group| format!("rest.{group}"));
+    for (name, values) in rests.iter().zip(fit.ground.rest.groups()) {
+        bundle = bundle.tensor(name, &[values.len()], values)?;
+    }
     for ((names, values), adam) in names.iter().zip(fit.canonical.groups()).zip(fit.optimiser.groups()) {
         for (name, part) in names.iter().zip([values.as_slice(), adam.moments()[0], adam.moments()[1]]) {
             bundle = bundle.tensor(name, &[part.len()], part)?;
@@ -76,7 +81,8 @@ pub(super) fn save(fit: &Fit<'_>, course: &Course) -> Result<Vec<u8>, ArtifactEr
         .tensor("statistics.gradients", &[statistics.gradient_sum.len()], &statistics.gradient_sum)?
         .tensor("statistics.frames", &[statistics.frames.len()], &statistics.frames)?
         .tensor("statistics.pixels", &[statistics.most_pixels.len()], &statistics.most_pixels)?
-        .tensor("rest", &[fit.rest.len()], &fit.rest)?
+        .tensor("doubt", &[fit.ground.doubt.len()], &fit.ground.doubt)?
+        .tensor("kind", &[fit.ground.kind.len()], &fit.ground.kind)?
         .tensor("neighbours", &[fit.neighbours.rows().len()], fit.neighbours.rows())?
         .tensor("order", &[frames.len()], &frames)?
         .tensor("live", &[2], &course.live)?
@@ -124,7 +130,17 @@ pub(super) fn restore(fit: &mut Fit<'_>, bytes: &[u8]) -> Option<Course> {
     };
     let offsets = reader.shaped::<f64>("offsets", &[Some(3), None]).ok()?;
     let neighbours = Neighbours::from_rows(&reader.shaped::<u32>("neighbours", &[None]).ok()?, count)?;
-    let rest = flat("rest").filter(|rest| rest.len() == 3 * count && rest.iter().all(|value| value.is_finite()))?;
+    let mut rest = Canonical { modes: canonical.modes, ..Canonical::default() };
+    for (group, values) in rest.groups_mut().into_iter().enumerate() {
+        *values = flat(&format!("rest.{group}"))?;
+    }
+    let sound = rest.is_consistent() && rest.len() == count && rest.first_not_finite().is_none();
+    let doubt: Vec<f32> = reader.shaped("doubt", &[Some(count)]).ok()?;
+    let kind: Vec<u8> = reader.shaped("kind", &[Some(count)]).ok()?;
+    let ground = Ground { rest, doubt, kind };
+    if !sound || !ground.doubt.iter().all(|doubt| (0.0..=1.0).contains(doubt)) {
+        return None;
+    }
     let visits = reader.shaped::<i32>("visits", &[None]).ok()?;
     let finite = is_finite(&canonical, &adams, &appearance) && offsets.iter().all(|value| value.is_finite());
     let fits = finite
@@ -135,7 +151,7 @@ pub(super) fn restore(fit: &mut Fit<'_>, bytes: &[u8]) -> Option<Course> {
         return None;
     }
     fit.optimiser = Optimiser::from_groups(adams.try_into().ok()?);
-    (fit.neighbours, fit.rest) = (neighbours, rest);
+    (fit.neighbours, fit.ground) = (neighbours, ground);
     fit.gradient = Canonical::zeros(count, canonical.modes);
     (fit.canonical, fit.statistics, fit.appearance) = (canonical, statistics, appearance);
     Some(course)

@@ -173,7 +173,7 @@ impl Resident {
             rig: &fit.model.rig,
             statistics: &fit.statistics,
             neighbours: &fit.neighbours,
-            rest: &fit.rest,
+            ground: &fit.ground,
         };
         let values = Values::new(&self.gpu, &given)?;
         let adams = fit.optimiser.groups();
