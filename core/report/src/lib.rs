@@ -8,6 +8,7 @@ mod face_map;
 mod figure;
 mod parquet;
 mod preview;
+mod scaling;
 mod sheet;
 mod trade_off;
 
@@ -19,6 +20,7 @@ pub use face_map::{FaceMap, face_maps};
 pub use figure::{Curve, waveform_figure};
 pub use parquet::table_parquet;
 pub use preview::encode_preview;
+pub use scaling::{ScalingLine, scaling_figure};
 pub use sheet::contact_sheet;
 pub use trade_off::{TradeOff, trade_off_figure};
 

@@ -1,7 +1,7 @@
 //! Made scenes over splats × resolution × precision: milliseconds beside PSNR, and milliseconds against
-//! (Gaussian, pixel) pairs, as a table and two plots.
+//! (Gaussian, pixel) pairs, as a table and three plots.
 
-use heartian_report::{CostPoint, TradeOff, cost_figure, encode_png, trade_off_figure};
+use heartian_report::{CostPoint, ScalingLine, cost_figure, encode_png, scaling_figure};
 use heartian_splat::RasterOptions;
 use heartian_splat::reference::{Scene, tiled};
 use miette::{IntoDiagnostic, Result};
@@ -58,15 +58,7 @@ pub fn run(arguments: &SplatBench) -> Result<(String, Value)> {
         write(file, figure)?;
         fits.extend(lines);
     }
-    let trade = |row: &Row| TradeOff {
-        label: format!("{}k, {}²", row.splats / 1000, row.side_px),
-        group: format!("{}, {}", row.precision, row.device),
-        seconds: row.forward.min_ms * 1e-3,
-        // The f64 picture's own error is its rounding.
-        error: row.psnr_db.map_or(1e-16, |db| 10f64.powf(-db / 20.0)),
-    };
-    let trades: Vec<TradeOff> = rows.iter().map(trade).collect();
-    write("speed.png", trade_off_figure(&trades, "rms error against f64").into_diagnostic()?)?;
+    write("speed.png", scaling_figure(&scaling(&rows), "Gaussians").into_diagnostic()?)?;
     let mut text = text(&rows);
     for fit in &fits {
         text += &format!(
@@ -125,6 +117,21 @@ fn point(runs: u16, device: &mut dyn Rasteriser, (splats, side_px): (usize, usiz
         psnr_db: None,
     });
     Ok(())
+}
+
+/// A line for each precision and resolution, with its least PSNR.
+fn scaling(rows: &[Row]) -> Vec<ScalingLine> {
+    let mut lines = Vec::new();
+    for precision in ["f32", "f64"] {
+        for side_px in SIDES_PX {
+            let of_line = || rows.iter().filter(|row| row.precision == precision && row.side_px == side_px);
+            let least = of_line().filter_map(|row| row.psnr_db).min_by(f64::total_cmp);
+            let error = least.map_or_else(|| "the reference, 1 thread".to_owned(), |db| format!("{db:.0} dB"));
+            let points = of_line().map(|row| (row.splats as f64, row.forward.min_ms)).collect();
+            lines.push(ScalingLine { label: format!("{precision}, {side_px}²: {error}"), points });
+        }
+    }
+    lines
 }
 
 impl Row {
