@@ -282,6 +282,7 @@ mod tests {
             identity: Vec::new(),
             camera: heartian_space::Camera::at_origin(8, 8, 10.0),
             times_seconds: (0..frames.len()).map(|t| t as f64).collect(),
+            sigma: heartian_face::TrackSigma::default(),
             frames,
             landmark_rms_px: 0.5,
             interocular_px: 3.0,

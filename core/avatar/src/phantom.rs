@@ -90,6 +90,7 @@ pub(crate) fn recording_of(head: &HeadModel, size: usize, frames: usize) -> (Cli
         camera,
         frames: poses,
         times_seconds,
+        sigma: heartian_face::TrackSigma::default(),
         landmark_rms_px: 0.0,
         interocular_px: size as f32 as f64 / 4.0,
     };

@@ -231,6 +231,7 @@ mod tests {
             identity: Vec::new(),
             camera: Camera::at_origin(64, 64, 100.0),
             times_seconds: clip.times_seconds.clone(),
+            sigma: heartian_face::TrackSigma::default(),
             frames,
             landmark_rms_px: 0.0,
             interocular_px: 0.0,

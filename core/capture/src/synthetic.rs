@@ -175,6 +175,7 @@ impl<'a> Studio<'a> {
                 camera: self.scene.camera,
                 frames: poses,
                 times_seconds: self.times_seconds,
+                sigma: heartian_face::TrackSigma::default(),
             },
         };
         Ok(SyntheticRecording {

@@ -208,6 +208,7 @@ fn rate(avatar: &Avatar, track: &Track, side: usize, gpu: Option<&Arc<Gpu>>) -> 
     let track = Track {
         frames: track.frames[..count].to_vec(),
         times_seconds: track.times_seconds[..count].to_vec(),
+        sigma: heartian_face::TrackSigma::default(),
         ..track.clone()
     };
     let options = RenderOptions { label: "timed", size: Some(side), gpu, ..RenderOptions::default() };

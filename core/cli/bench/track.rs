@@ -91,7 +91,7 @@ pub fn run(bench: &TrackBench) -> Result<ExitCode> {
 
 fn variants(head: &HeadModel) -> Vec<Variant> {
     let [identity, expression] = [head.identity.count, head.expression.count];
-    let whole = TrackOptions::default();
+    let whole = TrackOptions { refine_focal: false, ..TrackOptions::default() };
     let bare = TrackOptions { personal_offset: false, ..whole.clone() };
     let variant = |label: String, group: &'static str, modes: [usize; 2], options: &TrackOptions| Variant {
         label,

@@ -22,5 +22,5 @@ pub use heads::HeadSource;
 pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};
 pub use observations::{Landmark, Observations};
 pub use skinning::vertex_normals;
-pub use track::{FramePose, Track};
+pub use track::{FramePose, Track, TrackSigma};
 pub use tracker::{TrackOptions, track};

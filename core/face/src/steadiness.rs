@@ -53,7 +53,7 @@ mod tests {
     use heartian_space::Camera;
 
     use super::*;
-    use crate::HeadModel;
+    use crate::{HeadModel, TrackSigma};
 
     fn track(angle: impl Fn(usize) -> f64) -> Track {
         let frames: Vec<FramePose> = (0..120)
@@ -64,6 +64,7 @@ mod tests {
             identity: Vec::new(),
             camera: Camera::at_origin(64, 64, 100.0),
             times_seconds: (0..frames.len()).map(|t| t as f64 / 30.0).collect(),
+            sigma: TrackSigma::default(),
             frames,
             landmark_rms_px: 0.0,
             interocular_px: 0.0,

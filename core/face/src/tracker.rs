@@ -13,6 +13,7 @@ mod linear;
 mod personal;
 mod points;
 mod shared;
+mod spread;
 mod start;
 #[cfg(test)]
 mod tests;
@@ -25,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::model::HeadModel;
 use crate::observations::Observations;
-use crate::track::{FramePose, Track};
+use crate::track::{FramePose, Track, TrackSigma};
 use crate::{FaceError, tracker::points::rotation};
 use frame::{EXPRESSION, JAW, Lens, Seen, Setting, State};
 use points::{OVAL, Points, Shape};
@@ -45,6 +46,8 @@ const IDENTITY_PRIOR: f64 = 0.6;
 const OFFSET_PRIOR: f64 = 0.15;
 /// A frame whose landmarks lie this many times farther off than in the clip's median frame shows something else.
 const MISFIT_MEDIANS: f64 = 4.0;
+/// What is known of a focal length beforehand: the standard deviation of its logarithm.
+const FOCAL_DEVIATION: f64 = 0.25;
 /// Distance between the outer eye corners of an adult, metres; only to set the residuals' scale.
 const EYE_CORNERS: f64 = 0.09;
 
@@ -53,7 +56,8 @@ const EYE_CORNERS: f64 = 0.09;
 pub struct TrackOptions {
     /// Focal length, pixels; `None` takes 1.2 times the longer side.
     pub focal_px: Option<f64>,
-    /// Whether to refine the focal length. Only sensible when the head turns or comes nearer a good deal.
+    /// Whether to refine the focal length if the clip determines it, as where the head turns or comes nearer a good deal: if
+    /// what it leaves open is less than half of what is known beforehand, a quarter of `focal_px`.
     pub refine_focal: bool,
     /// Key frames for the identity, at least 1.
     pub key_frames: usize,
@@ -67,7 +71,7 @@ pub struct TrackOptions {
 
 impl Default for TrackOptions {
     fn default() -> Self {
-        Self { focal_px: None, refine_focal: false, key_frames: 24, personal_offset: true, smoothness: 1.0, rounds: 1 }
+        Self { focal_px: None, refine_focal: true, key_frames: 24, personal_offset: true, smoothness: 1.0, rounds: 1 }
     }
 }
 
@@ -112,10 +116,11 @@ pub fn track(
         job.fit_clip(&person, &mut states, 4);
         meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
     }
+    let sigma = job.settle_focal(&mut person, &mut states);
     if let Some(frame) = states.iter().position(|state| !state.is_finite()) {
         return Err(FaceError::Diverged { stage: "whole clip", frame });
     }
-    Ok(job.finished(&person, &states, offsets.as_ref()))
+    Ok(job.finished(&person, &states, (offsets.as_ref(), sigma)))
 }
 
 /// Counts steps for the caller.
@@ -149,6 +154,7 @@ struct Job<'a> {
     lens: Lens,
     scale_px: f64,
     prior: Vec<f64>,
+    focal_prior: Option<f64>,
 }
 
 impl<'a> Job<'a> {
@@ -189,6 +195,7 @@ impl<'a> Job<'a> {
             frames,
             lens: Lens { focal, centre: DVec2::new(width / 2.0, height / 2.0) },
             scale_px: LEAST_SCALE_PX,
+            focal_prior: None,
         })
     }
 
@@ -224,7 +231,11 @@ impl<'a> Job<'a> {
 
     /// Identity and key frames jointly, with the residuals' scale widened by a factor.
     fn fit_person(&self, person: &mut Person, states: &mut Vec<State>, (iterations, widening): (usize, f64)) {
-        let joint = Joint {
+        self.joint(person, widening, self.focal_prior).fit(person, states, iterations);
+    }
+
+    fn joint(&self, person: &Person, widening: f64, focal_prior: Option<f64>) -> Joint<'_> {
+        Joint {
             points: &self.points,
             frames: self.keys.iter().map(|&key| &self.frames[key]).collect(),
             scale_px: self.scale_px * widening,
@@ -232,10 +243,9 @@ impl<'a> Job<'a> {
             identity_prior: (0..person.identity.len())
                 .map(|mode| self.keys.len() as f64 * if mode < self.modes { IDENTITY_PRIOR } else { OFFSET_PRIOR })
                 .collect(),
-            focal_prior: self.options.refine_focal.then_some(100.0),
+            focal_prior,
             focal_centre: self.lens.focal,
-        };
-        joint.fit(person, states, iterations);
+        }
     }
 
     fn setting<'b>(&'b self, person: &Person, shape: &'b Shape) -> Setting<'b> {
@@ -308,14 +318,16 @@ impl<'a> Job<'a> {
         clip::interpolate_missing(states, &self.frames, &self.observations.times_seconds);
     }
 
-    fn fit_clip(&self, person: &Person, states: &mut Vec<State>, iterations: usize) {
-        let shape = self.points.shape(&person.identity);
+    fn whole<'b>(&'b self, person: &Person, shape: &'b Shape) -> clip::Whole<'b> {
         let unknowns = EXPRESSION + self.points.expression_count() + 2;
         let times = &self.observations.times_seconds;
         let link = |pair: &[f64]| clip::Link::new(unknowns, pair[1] - pair[0], self.options.smoothness);
         let links = times.windows(2).map(link).collect();
-        let whole = clip::Whole { setting: self.setting(person, &shape), frames: &self.frames, links };
-        whole.fit(states, iterations);
+        clip::Whole { setting: self.setting(person, shape), frames: &self.frames, links, trust: 1.0 }
+    }
+
+    fn fit_clip(&self, person: &Person, states: &mut Vec<State>, iterations: usize) {
+        self.whole(person, &self.points.shape(&person.identity)).fit(states, iterations);
     }
 
     /// Root mean square over all observed landmarks but the oval's.
@@ -343,7 +355,37 @@ impl<'a> Job<'a> {
         distances.iter().sum::<f64>() / distances.len().max(1) as f64
     }
 
-    fn finished(&self, person: &Person, states: &[State], offsets: Option<&personal::Offsets>) -> Track {
+    /// Refines the focal length where the clip determines it: where what it leaves open is less than half of what was known
+    /// beforehand. Returns how sure all is in the end.
+    fn settle_focal(&mut self, person: &mut Person, states: &mut Vec<State>) -> TrackSigma {
+        let (sigma, trust) = self.sigmas(person, states);
+        let known = sigma.focal_percent.is_some_and(|percent| f64::from(percent) < 50.0 * FOCAL_DEVIATION);
+        if !(self.options.refine_focal && known) {
+            return sigma;
+        }
+        // In a fit a squared residual counts 1, not `trust`.
+        self.focal_prior = Some(FOCAL_DEVIATION.powi(-2) / trust);
+        let mut key_states: Vec<State> = self.keys.iter().map(|&frame| states[frame].clone()).collect();
+        self.fit_person(person, &mut key_states, (12, 1.0));
+        self.fit_clip(person, states, 6);
+        self.sigmas(person, states).0
+    }
+
+    /// How sure all is, and how much a squared residual counts in that.
+    fn sigmas(&self, person: &Person, states: &[State]) -> (TrackSigma, f64) {
+        let openness = |trust: f64| {
+            let keys: Vec<State> = self.keys.iter().map(|&frame| states[frame].clone()).collect();
+            self.joint(person, 1.0, Some(FOCAL_DEVIATION.powi(-2))).openness(person, &keys, trust)
+        };
+        spread::sigmas(self.whole(person, &self.points.shape(&person.identity)), states, (self.keys.len(), &openness))
+    }
+
+    fn finished(
+        &self,
+        person: &Person,
+        states: &[State],
+        (offsets, sigma): (Option<&personal::Offsets>, TrackSigma),
+    ) -> Track {
         let mut identity: Vec<f32> = person.identity[..self.modes].iter().map(|value| *value as f32).collect();
         let offset = offsets.map(|offsets| (offsets, &person.identity[self.modes..]));
         let head = personal::personalised(self.head, &identity, offset);
@@ -362,6 +404,7 @@ impl<'a> Job<'a> {
             camera: Camera::at_origin(self.observations.width, self.observations.height, person.lens.focal as f32),
             frames,
             times_seconds: self.observations.times_seconds.clone(),
+            sigma,
             landmark_rms_px: self.landmark_rms_px(person, states),
             interocular_px: self.interocular_px(person, states),
             head,

@@ -17,8 +17,9 @@ params! {
     pub struct FlameTracker {
         /// Focal length; a face crop of a webcam has about 2.
         focal: f64 = 2.2, unit("picture widths"), range(0.3, 50.0);
-        /// Refine the focal length; sensible when the head turns or comes nearer a good deal.
-        refine_focal: bool = false;
+        /// Refine the focal length where the recording determines it, as when the head turns or comes nearer a good deal;
+        /// otherwise the given one stays. `track.focal_sigma_percent` says how well it is known.
+        refine_focal: bool = true;
         /// Strength of the temporal terms; 0 leaves frames independent.
         smoothness: f64 = 1.0, range(0.0, 1000.0);
         /// `procedural` (built in), `installed` (the head of `heartian models install head`), or your FLAME 2020 or 2023 as
@@ -35,15 +36,18 @@ register!(FlameTracker);
 
 impl Node for FlameTracker {
     const KIND: &'static str = "FlameTracker";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The clip to track."),
         Port::one::<Observations>("landmarks", "Landmarks seen in it; without, the face models look for them.")
             .optional(),
     ];
     const OUTPUTS: &'static [Port] = &[
-        Port::one::<Track>("track", "Head model, identity, camera, and a pose per frame."),
-        Port::one::<Metrics>("metrics", "track.*: landmark error, jitter and frames lost."),
+        Port::one::<Track>(
+            "track",
+            "Head model, identity, camera, and per frame a pose and how sure it is (sigma.*: standard deviations).",
+        ),
+        Port::one::<Metrics>("metrics", "track.*: landmark error, jitter, how sure it is, and frames lost."),
         Port::one::<Labels>("labels", "track.head_model: the name of the head model that was fitted."),
     ];
 
@@ -87,6 +91,9 @@ impl Node for FlameTracker {
             .with("track.interocular_px", track.interocular_px)
             .with("track.landmark_rms_fraction", track.landmark_rms_px / track.interocular_px)
             .with("track.jitter_deg_rms", track.jitter_deg_rms())
+            .with("track.rotation_sigma_deg", track.sigma.median_turn_deg())
+            .with("track.focal_widths", f64::from(track.camera.focal_px[0]) / clip.width.max(clip.height) as f64)
+            .with("track.focal_sigma_percent", track.sigma.focal_percent.map_or(f64::NAN, f64::from))
             .with("track.frames_lost", lost as f64)
             .with("track.lost_frames", lost as f64);
         let labels = Labels::of("track.head_model", &track.head.name);

@@ -33,7 +33,7 @@ impl GroundTruth {
 }
 
 impl Artifact for GroundTruth {
-    const TYPE: ArtifactType = ArtifactType { name: "truth", version: 1 };
+    const TYPE: ArtifactType = ArtifactType { name: "truth", version: 2 };
 
     fn to_bundle(&self) -> Result<Bundle<'_>, ArtifactError> {
         let frames = self.pulse.len();

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::frame::{self, EXPRESSION, JAW, Seen, Setting, Shared, State};
-use super::linear::{cholesky, forward, gram, solve};
+use super::linear::{cholesky, congruent, forward, gram, inverse, solve};
 
 /// Tighter than motion alone would ask: a landmark network errs on the whole face at once, so its landmarks say less than
 /// as many independent ones. Standard deviations over a thirtieth of a second: change of the turn's and the shift's
@@ -93,6 +93,8 @@ pub struct Whole<'a> {
     pub frames: &'a [Seen],
     /// `T−1` links between neighbours.
     pub links: Vec<Link>,
+    /// How much a squared residual counts against the temporal terms and priors: 1 in a fit.
+    pub trust: f64,
 }
 
 /// Matrix and gradient of one frame.
@@ -147,6 +149,44 @@ impl Whole<'_> {
             .collect()
     }
 
+    /// Variances of every frame's unknowns, velocity last, by the recursion of the selected inverse: the covariance is the
+    /// inverse of the clip's matrix at `states`, of which only the diagonal blocks are made, from the last to the first. Bounds
+    /// of unknowns are left out of account. `None` when a landmark falls behind the camera or the matrix is singular.
+    pub fn variances(&self, states: &[State]) -> Option<Vec<Vec<f64>>> {
+        let motion = Motion { states: states.to_vec(), velocities: vec![[0.0; VELOCITY]; states.len()] };
+        let mut systems = self.systems(&motion)?;
+        systems.iter_mut().for_each(|(_, gradient)| gradient.fill(0.0));
+        let Eliminated { factors, .. } = self.eliminated(&systems, &motion, 0.0)?;
+        let mut found = vec![Vec::new(); states.len()];
+        let mut after: Option<Vec<f64>> = None;
+        for t in (0..states.len()).rev() {
+            let m = states[t].unknowns() + VELOCITY;
+            let mut block = inverse(&factors[t], m);
+            if let Some(after) = after {
+                // What the frames behind leave open comes on top: G·Σ·Gᵀ with G = D⁻¹·coupling.
+                let mut gain = vec![0.0; m * m];
+                for k in 0..m {
+                    for (row, value) in self.links[t].coupling(k) {
+                        (0..m).for_each(|i| gain[i * m + k] += block[i * m + row] * value);
+                    }
+                }
+                block.iter_mut().zip(congruent(&gain, &after, m)).for_each(|(value, more)| *value += more);
+            }
+            found[t] = (0..m).map(|k| block[k * m + k]).collect();
+            after = Some(block);
+        }
+        Some(found)
+    }
+
+    /// The same of one frame as if it stood alone, without its velocity.
+    pub fn variances_alone(&self, t: usize, state: &State) -> Option<Vec<f64>> {
+        let (mut matrix, gradient) = self.own_system(&self.frames[t], state, &[0.0; VELOCITY])?;
+        let m = gradient.len();
+        (0..m).for_each(|k| matrix[k * m + k] += 1e-9);
+        let inverse = cholesky(&mut matrix, m).then(|| inverse(&matrix, m))?;
+        Some((0..state.unknowns()).map(|k| inverse[k * m + k]).collect())
+    }
+
     /// Runs up to `iterations` damped steps.
     pub fn fit(&self, states: &mut Vec<State>, iterations: usize) {
         if states.is_empty() {
@@ -199,6 +239,7 @@ impl Whole<'_> {
         if !seen.points.is_empty() {
             let design = frame::linearised(&self.setting, seen, state, Shared::default())?;
             let (mut own, mut own_gradient) = design.normal();
+            own.iter_mut().chain(&mut own_gradient).for_each(|value| *value *= self.trust);
             frame::add_beliefs(&mut own, &mut own_gradient, self.setting.prior, (seen, state));
             matrix.chunks_mut(m).zip(own.chunks(n)).for_each(|(row, own)| row[..n].copy_from_slice(own));
             gradient[..n].copy_from_slice(&own_gradient);

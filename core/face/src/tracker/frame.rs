@@ -163,7 +163,7 @@ impl State {
 }
 
 /// Geman–McClure cost of a squared residual, and its derivative.
-fn robust(squared: f64) -> (f64, f64) {
+pub fn robust(squared: f64) -> (f64, f64) {
     let c = ROBUST * ROBUST;
     (c * squared / (c + squared), (c / (c + squared)).powi(2))
 }

@@ -85,25 +85,65 @@ pub fn damped_solve(matrix: &[f64], b: &[f64], damping: f64, held: &[bool]) -> O
 /// Products of all pairs of columns: `width × width`, row-major and symmetric, from `width × rows` columns.
 pub fn gram(columns: &[f64], rows: usize) -> Vec<f64> {
     let width = columns.len().checked_div(rows).unwrap_or(0);
-    let mut matrix = vec![0.0; width * width];
-    let (stride, one) = (rows as isize, 1);
-    // SAFETY: both operands are `width` columns of `rows` values, all inside `columns` (width·rows ≤ its length); the
-    // result is `width²` values, exactly `matrix`, which nothing else borrows.
+    let across = Strided { values: columns, row: rows, column: 1 };
+    let down = Strided { values: columns, row: 1, column: rows };
+    multiply([width, rows, width], across, down)
+}
+
+/// `A·Σ·Aᵀ` of square row-major matrices.
+pub fn congruent(a: &[f64], middle: &[f64], n: usize) -> Vec<f64> {
+    let plain = |values| Strided { values, row: n, column: 1 };
+    let half = multiply([n; 3], plain(a), plain(middle));
+    multiply([n; 3], plain(&half), Strided { values: a, row: 1, column: n })
+}
+
+/// The inverse of `L·Lᵀ`, given the factor: symmetric, row-major.
+pub fn inverse(factor: &[f64], n: usize) -> Vec<f64> {
+    // Columns of L⁻¹: their products are the inverse.
+    let mut columns = vec![0.0; n * n];
+    for k in 0..n {
+        let column = &mut columns[k * n..(k + 1) * n];
+        column[k] = 1.0;
+        forward(factor, n, column);
+    }
+    gram(&columns, n)
+}
+
+/// A matrix in a slice: the distance of neighbours in a column and in a row.
+#[derive(Clone, Copy)]
+struct Strided<'a> {
+    values: &'a [f64],
+    row: usize,
+    column: usize,
+}
+
+impl Strided<'_> {
+    fn covers(&self, rows: usize, columns: usize) -> bool {
+        rows == 0 || columns == 0 || (rows - 1) * self.row + (columns - 1) * self.column < self.values.len()
+    }
+}
+
+/// Product of a `rows × inner` and an `inner × columns` matrix, row-major.
+fn multiply([rows, inner, columns]: [usize; 3], a: Strided, b: Strided) -> Vec<f64> {
+    assert!(a.covers(rows, inner) && b.covers(inner, columns), "a matrix is smaller than its product needs");
+    let mut matrix = vec![0.0; rows * columns];
+    // SAFETY: `covers` has checked that every element read lies inside the operands; the result is `rows·columns` values,
+    // exactly `matrix`, which nothing else borrows.
     unsafe {
         gemm::gemm(
-            width,
-            width,
             rows,
+            columns,
+            inner,
             matrix.as_mut_ptr(),
-            one,
-            width as isize,
+            1,
+            columns as isize,
             false,
-            columns.as_ptr(),
-            one,
-            stride,
-            columns.as_ptr(),
-            stride,
-            one,
+            a.values.as_ptr(),
+            a.column as isize,
+            a.row as isize,
+            b.values.as_ptr(),
+            b.column as isize,
+            b.row as isize,
             0.0,
             1.0,
             false,
@@ -159,6 +199,18 @@ mod tests {
                 let plain: f64 = (0..33).map(|k| columns[33 * i + k] * columns[33 * j + k]).sum();
                 assert!((fast[7 * i + j] - plain).abs() < 1e-12);
             }
+        }
+    }
+
+    #[test]
+    fn an_inverse_undoes_its_matrix_and_a_congruence_is_the_plain_product() {
+        let matrix = [4.0, 1.0, 0.5, 1.0, 3.0, 0.2, 0.5, 0.2, 2.0];
+        let mut factor = matrix;
+        assert!(cholesky(&mut factor, 3));
+        let inverse = inverse(&factor, 3);
+        let sandwich = congruent(&matrix, &inverse, 3);
+        for (found, plain) in sandwich.iter().zip(matrix) {
+            assert!((found - plain).abs() < 1e-12, "A·A⁻¹·Aᵀ = A: {found} {plain}");
         }
     }
 

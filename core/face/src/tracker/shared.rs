@@ -1,11 +1,12 @@
 //! Identity, and perhaps the focal length, from key frames jointly: each frame's own unknowns are eliminated by a Schur
 //! complement, so a step costs one small system per frame and one for what they share.
 
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::frame::{self, Lens, Seen, Setting, Shared, State};
+use super::frame::{self, JAW, Lens, Seen, Setting, Shared, State};
 use super::linear::{cholesky, damped_solve, forward, gram, solve};
-use super::points::Points;
+use super::points::{Points, Shape};
 
 /// What the key frames share.
 #[derive(Clone, Debug)]
@@ -34,6 +35,15 @@ pub struct Joint<'a> {
     pub focal_centre: f64,
 }
 
+/// What the shared unknowns leave open.
+pub struct Openness {
+    /// Variance of each of a frame's unknowns that comes from the shared ones, less what it has in common in all frames; a
+    /// mean over the key frames.
+    pub own: Vec<f64>,
+    /// Variance of the focal length's logarithm; 0 where it is held.
+    pub focal: f64,
+}
+
 /// One frame's part of the reduced system, and what is needed to recover its own step.
 struct Eliminated {
     factor: Vec<f64>,
@@ -57,13 +67,7 @@ impl Joint<'_> {
 
     fn cost(&self, person: &Person, states: &[State]) -> f64 {
         let shape = self.points.shape(&person.identity);
-        let setting = Setting {
-            points: self.points,
-            shape: &shape,
-            lens: person.lens,
-            scale_px: self.scale_px,
-            prior: self.frame_prior,
-        };
+        let setting = self.setting(person, &shape);
         let costs: Vec<f64> =
             self.frames.par_iter().zip(states).map(|(seen, state)| frame::cost(&setting, seen, state)).collect();
         costs.iter().sum::<f64>() + self.prior_cost(person)
@@ -95,13 +99,7 @@ impl Joint<'_> {
     /// One trial step; `None` when the system cannot be solved.
     fn step(&self, person: &Person, states: &[State], damping: f64) -> Option<(Person, Vec<State>)> {
         let shape = self.points.shape(&person.identity);
-        let setting = Setting {
-            points: self.points,
-            shape: &shape,
-            lens: person.lens,
-            scale_px: self.scale_px,
-            prior: self.frame_prior,
-        };
+        let setting = self.setting(person, &shape);
         let parts: Option<Vec<Eliminated>> = self
             .frames
             .par_iter()
@@ -131,6 +129,41 @@ impl Joint<'_> {
             next.lens.focal *= shared_step[n - 1].clamp(-0.5, 0.5).exp();
         }
         Some((next, next_states))
+    }
+
+    /// How far the shared unknowns are open, and what follows for the frames, where squared residuals count `trust` and the
+    /// shared unknowns' squares one. `None` when a landmark falls behind the camera or nothing is determined.
+    pub fn openness(&self, person: &Person, states: &[State], trust: f64) -> Option<Openness> {
+        let shape = self.points.shape(&person.identity);
+        let setting = self.setting(person, &shape);
+        let parts: Option<Vec<Eliminated>> = self
+            .frames
+            .par_iter()
+            .zip(states)
+            .map(|(seen, state)| self.eliminated(&setting, seen, state, 0.0))
+            .collect();
+        let (parts, n) = (parts?, self.shared().count());
+        let mut factor = vec![0.0; n * n];
+        for part in &parts {
+            factor.iter_mut().zip(&part.schur).for_each(|(sum, value)| *sum += trust * value);
+        }
+        (0..self.identity_prior.len()).for_each(|k| factor[k * n + k] += 1.0);
+        if let Some(weight) = self.focal_prior {
+            factor[n * n - 1] += weight;
+        }
+        if n == 0 || !cholesky(&mut factor, n) {
+            return None;
+        }
+        let mut last = vec![0.0; n];
+        last[n - 1] = 1.0;
+        forward(&factor, n, &mut last);
+        let focal = self.focal_prior.map_or(0.0, |_| last[n - 1] * last[n - 1]);
+        Some(Openness { own: own_variances(&parts, states, &factor), focal })
+    }
+
+    fn setting<'b>(&'b self, person: &Person, shape: &'b Shape) -> Setting<'b> {
+        let (lens, scale_px) = (person.lens, self.scale_px);
+        Setting { points: self.points, shape, lens, scale_px, prior: self.frame_prior }
     }
 
     fn eliminated(&self, setting: &Setting, seen: &Seen, state: &State, damping: f64) -> Option<Eliminated> {
@@ -174,7 +207,42 @@ impl Joint<'_> {
     }
 }
 
+/// Variance of the frames' unknowns from that of the shared ones (given the factor of its inverse), less the frames' mean;
+/// turns are compared in the head's own frame.
+fn own_variances(parts: &[Eliminated], states: &[State], factor: &[f64]) -> Vec<f64> {
+    let own = parts.first().map_or(0, |part| part.gradient.len());
+    let shared = parts.first().map_or(0, |part| part.coupling.len().checked_div(own).unwrap_or(0));
+    let mut responses: Vec<Vec<f64>> =
+        parts.iter().zip(states).map(|(part, state)| part.response(state.rotation)).collect();
+    let mut mean = vec![0.0; own * shared];
+    for response in &responses {
+        mean.iter_mut().zip(response).for_each(|(sum, value)| *sum += value / parts.len() as f64);
+    }
+    let mut variances = vec![0.0; own];
+    for response in &mut responses {
+        response.iter_mut().zip(&mean).for_each(|(value, mean)| *value -= mean);
+        for (k, variance) in variances.iter_mut().enumerate() {
+            let mut row: Vec<f64> = response.chunks(own).map(|column| column[k]).collect();
+            forward(factor, shared, &mut row);
+            *variance += row.iter().map(|value| value * value).sum::<f64>() / parts.len() as f64;
+        }
+    }
+    variances
+}
+
 impl Eliminated {
+    /// How the frame's unknowns follow the shared ones: a column for each of those; the turn in the head's frame.
+    fn response(&self, rotation: DMat3) -> Vec<f64> {
+        let own = self.gradient.len();
+        let mut columns = self.coupling.clone();
+        for column in columns.chunks_mut(own) {
+            solve(&self.factor, own, column);
+            let turn = rotation.transpose() * DVec3::from_slice(column);
+            column[..JAW / 2].copy_from_slice(&turn.to_array());
+        }
+        columns
+    }
+
     fn recovered(&self, state: &State, shared_step: &[f64]) -> State {
         let own = self.gradient.len();
         let mut right: Vec<f64> = self.gradient.iter().map(|value| -value).collect();
