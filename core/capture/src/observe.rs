@@ -18,7 +18,7 @@ pub fn observe_clip(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Observations, CaptureError> {
     let nets = FaceNets::load()?;
-    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks);
+    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks).with_irises(nets.irises.as_ref());
     let mut frames = Vec::with_capacity(clip.len());
     for index in 0..clip.len() {
         let image = Rgb8Image::from_data(clip.width, clip.height, clip.frame(index).to_vec())?;

@@ -1,11 +1,13 @@
 //! A track drawn over its clip, for people who want to see what the tracker saw: mesh, landmarks, crop and matte.
 //!
-//! Observed landmarks are green with a red line to where the fitted head puts them, the mesh is white, the region that
-//! the landmark network reads is orange, the matte's edge cyan. A frame that could not be fitted has a red border.
+//! Observed landmarks are green with a red line to where the fitted head puts them, the mesh is white, fitted irises are
+//! magenta rings, the region that the landmark network reads is orange, the matte's edge cyan. A frame that could not be fitted has a red border.
+
+use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 use heartian_face::nets::Roi;
-use heartian_face::{HeadModel, Landmark, Observations, Track};
+use heartian_face::{HeadModel, Iris, Landmark, Observations, Track};
 use heartian_space::{Camera, Clip, Rgb8Image, Sequence};
 use rayon::prelude::*;
 
@@ -14,6 +16,7 @@ use crate::CaptureError;
 const MESH: Ink = Ink { color: [255.0, 255.0, 255.0], strength: 0.22 };
 const SEEN: Ink = Ink { color: [60.0, 255.0, 90.0], strength: 0.9 };
 const MISS: Ink = Ink { color: [255.0, 40.0, 40.0], strength: 0.9 };
+const IRIS: Ink = Ink { color: [255.0, 60.0, 255.0], strength: 0.8 };
 const CROP: Ink = Ink { color: [255.0, 160.0, 0.0], strength: 0.8 };
 const MATTE: Ink = Ink { color: [0.0, 220.0, 255.0], strength: 0.5 };
 
@@ -67,6 +70,9 @@ impl Overlay<'_> {
             {
                 canvas.line(from, to, MESH);
             }
+        }
+        for iris in head.irises(pose).into_iter().flatten() {
+            ring(&mut canvas, camera, &iris);
         }
         let seen: Vec<Landmark> = self.observations.map(|o| o.frame(t).collect()).unwrap_or_default();
         let scale = self.scale as f32;
@@ -146,6 +152,17 @@ fn outline(canvas: &mut Canvas, clip: &Clip, t: usize, scale: usize) {
             if inside(x, y) != inside(x, y - 1) {
                 canvas.line(corner, corner + Vec2::X * scale as f32, MATTE);
             }
+        }
+    }
+}
+
+/// The rim of an iris as if it faced the camera.
+fn ring(canvas: &mut Canvas, camera: &Camera, iris: &Iris) {
+    let centre = Vec3::from_array(iris.centre);
+    let rim = |k: usize| camera.project(centre + iris.radius * Vec2::from_angle(TAU * k as f32 / 24.0).extend(0.0));
+    for k in 0..24 {
+        if let (Some(from), Some(to)) = (rim(k), rim(k + 1)) {
+            canvas.line(from, to, IRIS);
         }
     }
 }

@@ -147,7 +147,8 @@ fn follow(
     nets: &FaceNets,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Followed, CaptureError> {
-    let mut follower = FaceFollower::new(&nets.detector, &nets.landmarks).of_rank(options.face);
+    let mut follower =
+        FaceFollower::new(&nets.detector, &nets.landmarks).with_irises(nets.irises.as_ref()).of_rank(options.face);
     let mut followed =
         Followed { times_seconds: Vec::new(), faces: Vec::new(), frame_size: (0, 0), warnings: Vec::new() };
     let frame_bytes = options.size * options.size * 4;

@@ -161,7 +161,7 @@ impl<'a> Studio<'a> {
             alpha: frames.iter().flat_map(|frame| frame.alpha.iter().copied()).collect(),
             times_seconds: self.times_seconds.clone(),
         };
-        let observations = observe::observations(&self.scene, &frames, &self.times_seconds, self.options)?;
+        let observations = observe::observations(&self.scene, (&frames, &poses), &self.times_seconds, self.options)?;
         let truth = GroundTruth {
             pulse: self.times_seconds.iter().map(|time| self.physiology.pulse(*time)).collect(),
             systolic_peaks_seconds: self.physiology.systolic_peaks_seconds(seconds),

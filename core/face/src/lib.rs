@@ -6,6 +6,7 @@
 mod eigen;
 mod error;
 mod heads;
+mod irises;
 mod model;
 pub mod models;
 pub mod nets;
@@ -19,6 +20,7 @@ mod tracker;
 pub use eigen::{Eigen, symmetric_eigen};
 pub use error::FaceError;
 pub use heads::HeadSource;
+pub use irises::Iris;
 pub use model::{Basis, HeadModel, JOINTS, LandmarkAnchor, Region, joint};
 pub use observations::{Landmark, Observations};
 pub use skinning::vertex_normals;

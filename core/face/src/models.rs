@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::HeadModel;
-use crate::nets::{Detector, LandmarkNet, PersonMatte};
+use crate::nets::{Detector, IrisNet, LandmarkNet, PersonMatte};
 use catalogue::{MODELS, Model, Package};
 pub use error::ModelsError;
 
@@ -267,7 +267,7 @@ fn read_model(model: &Model, directory: &Path) -> Result<Vec<u8>, ModelsError> {
     }
 }
 
-/// The three networks a real recording needs.
+/// The three networks a real recording needs, and the one for irises if it is installed.
 #[derive(Debug)]
 pub struct FaceNets {
     /// Finds faces.
@@ -276,6 +276,8 @@ pub struct FaceNets {
     pub landmarks: LandmarkNet,
     /// Tells person from background.
     pub person: PersonMatte,
+    /// Reads irises; `None` where it is not installed.
+    pub irises: Option<IrisNet>,
 }
 
 /// Loads the installed face detector alone, checking its digest.
@@ -302,12 +304,9 @@ pub fn head_path() -> Result<PathBuf, ModelsError> {
     Ok(directory()?.join(head::FILE))
 }
 
-/// The installed iris network's bytes, checked.
-///
-/// # Errors
-/// When it is missing or damaged; the message says how to install.
-pub fn iris_bytes() -> Result<Vec<u8>, ModelsError> {
-    read_model(&MODELS[3], &directory()?)
+/// Where the iris network rests; `None` where it is not installed, and irises are not read.
+pub fn iris_path() -> Option<PathBuf> {
+    directory().ok().map(|directory| directory.join(MODELS[3].file)).filter(|path| path.is_file())
 }
 
 impl FaceNets {
@@ -317,11 +316,16 @@ impl FaceNets {
     /// When one is missing or damaged; the message says how to install.
     pub fn load() -> Result<Self, ModelsError> {
         let directory = directory()?;
-        let [detector, landmarks, person, ..] = &MODELS;
+        let [detector, landmarks, person, irises] = &MODELS;
+        let irises = match read_model(irises, &directory) {
+            Err(ModelsError::NotInstalled { .. }) => None,
+            found => Some(IrisNet::parse(&found?)?),
+        };
         Ok(Self {
             detector: Detector::parse(&read_model(detector, &directory)?)?,
             landmarks: LandmarkNet::parse(&read_model(landmarks, &directory)?)?,
             person: PersonMatte::parse(&read_model(person, &directory)?)?,
+            irises,
         })
     }
 }

@@ -11,6 +11,7 @@ mod follow;
 #[cfg(test)]
 mod golden;
 mod interpret;
+mod irises;
 mod matting;
 mod op;
 mod parse;
@@ -21,6 +22,7 @@ mod tests;
 pub use detector::{Detection, Detector};
 pub use follow::{FaceFollower, FaceLandmarks, LandmarkNet, Roi};
 pub use interpret::Tensor;
+pub use irises::IrisNet;
 pub use matting::PersonMatte;
 pub use parse::Net;
 

@@ -105,6 +105,11 @@ impl Observations {
         })
     }
 
+    /// Whether any frame shows an iris (landmarks 468–477).
+    pub fn shows_irises(&self) -> bool {
+        self.indices.iter().any(|index| *index >= 468)
+    }
+
     fn range(&self, frame: usize) -> std::ops::Range<usize> {
         match self.offsets.get(frame..frame + 2) {
             Some([from, to]) => *from as usize..*to as usize,

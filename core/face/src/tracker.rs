@@ -10,6 +10,7 @@ mod clip;
 mod frame;
 mod gaze;
 mod linear;
+mod measure;
 mod personal;
 mod points;
 mod shared;
@@ -24,12 +25,12 @@ use glam::{DQuat, DVec2, DVec3};
 use heartian_space::{Camera, Progress};
 use rayon::prelude::*;
 
+use crate::FaceError;
 use crate::model::HeadModel;
 use crate::observations::Observations;
 use crate::track::{FramePose, Track, TrackSigma};
-use crate::{FaceError, tracker::points::rotation};
 use frame::{EXPRESSION, JAW, Lens, Seen, Setting, State};
-use points::{OVAL, Points, Shape};
+use points::{Points, Shape};
 use shared::{Joint, Person};
 
 /// A frame with fewer known landmarks counts as one without a face.
@@ -67,11 +68,21 @@ pub struct TrackOptions {
     pub smoothness: f64,
     /// How often identity and clip are fitted in turn after the first pass.
     pub rounds: usize,
+    /// Whether to say how sure each frame is; without, the focal length is not refined either.
+    pub sigma: bool,
 }
 
 impl Default for TrackOptions {
     fn default() -> Self {
-        Self { focal_px: None, refine_focal: true, key_frames: 24, personal_offset: true, smoothness: 1.0, rounds: 1 }
+        Self {
+            focal_px: None,
+            refine_focal: true,
+            key_frames: 24,
+            personal_offset: true,
+            smoothness: 1.0,
+            rounds: 1,
+            sigma: true,
+        }
     }
 }
 
@@ -108,15 +119,15 @@ pub fn track(
     let mut states = job.each_frame(&person, &mut meter)?;
     job.drop_misfits(&person, &mut states);
     job.fit_clip(&person, &mut states, 6);
-    meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
+    meter.tick(Some(job.errors(&person, &states).rms_px))?;
     for _ in 0..options.rounds {
-        let mut key_states: Vec<State> = job.keys.iter().map(|&frame| states[frame].clone()).collect();
+        let mut key_states = job.key_states(&states);
         job.fit_person(&mut person, &mut key_states, (3, 1.0));
         meter.tick(None)?;
         job.fit_clip(&person, &mut states, 4);
-        meter.tick(Some(job.landmark_rms_px(&person, &states)))?;
+        meter.tick(Some(job.errors(&person, &states).rms_px))?;
     }
-    let sigma = job.settle_focal(&mut person, &mut states);
+    let sigma = if options.sigma { job.settle_focal(&mut person, &mut states) } else { TrackSigma::default() };
     if let Some(frame) = states.iter().position(|state| !state.is_finite()) {
         return Err(FaceError::Diverged { stage: "whole clip", frame });
     }
@@ -248,6 +259,10 @@ impl<'a> Job<'a> {
         }
     }
 
+    fn key_states(&self, states: &[State]) -> Vec<State> {
+        self.keys.iter().map(|&frame| states[frame].clone()).collect()
+    }
+
     fn setting<'b>(&'b self, person: &Person, shape: &'b Shape) -> Setting<'b> {
         Setting { points: &self.points, shape, lens: person.lens, scale_px: self.scale_px, prior: &self.prior }
     }
@@ -307,7 +322,7 @@ impl<'a> Job<'a> {
         let shape = self.points.shape(&person.identity);
         let setting = self.setting(person, &shape);
         let errors: Vec<Option<f64>> =
-            self.frames.iter().zip(&*states).map(|(seen, state)| rms_px(&setting, seen, state)).collect();
+            self.frames.iter().zip(&*states).map(|(seen, state)| measure::rms_px(&setting, seen, state)).collect();
         let mut known: Vec<f64> = errors.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
         let Some(median) = known.get(known.len() / 2) else { return };
@@ -330,29 +345,9 @@ impl<'a> Job<'a> {
         self.whole(person, &self.points.shape(&person.identity)).fit(states, iterations);
     }
 
-    /// Root mean square over all observed landmarks but the oval's.
-    fn landmark_rms_px(&self, person: &Person, states: &[State]) -> f64 {
+    fn errors(&self, person: &Person, states: &[State]) -> measure::Errors {
         let shape = self.points.shape(&person.identity);
-        let setting = self.setting(person, &shape);
-        let sums = self.frames.iter().zip(states).map(|(seen, state)| squares(&setting, seen, state));
-        let (sum, count) = sums.fold((0.0, 0u64), |total, own| (total.0 + own.0, total.1 + own.1));
-        (sum / count.max(1) as f64).sqrt()
-    }
-
-    /// Mean distance of the outer eye corners as projected; NaN-free 0 for a head without those landmarks.
-    fn interocular_px(&self, person: &Person, states: &[State]) -> f64 {
-        let shape = self.points.shape(&person.identity);
-        let setting = self.setting(person, &shape);
-        let corner = |index: u32| self.points.indices.binary_search(&index).ok();
-        let (Some(right), Some(left)) = (corner(33), corner(263)) else { return 0.0 };
-        let distances: Vec<f64> = states
-            .iter()
-            .filter_map(|state| {
-                let jaw = rotation(state.jaw);
-                Some(state.project(&setting, right, &jaw)?.distance(state.project(&setting, left, &jaw)?))
-            })
-            .collect();
-        distances.iter().sum::<f64>() / distances.len().max(1) as f64
+        measure::errors(&self.setting(person, &shape), &self.frames, states)
     }
 
     /// Refines the focal length where the clip determines it: where what it leaves open is less than half of what was known
@@ -365,7 +360,7 @@ impl<'a> Job<'a> {
         }
         // In a fit a squared residual counts 1, not `trust`.
         self.focal_prior = Some(FOCAL_DEVIATION.powi(-2) / trust);
-        let mut key_states: Vec<State> = self.keys.iter().map(|&frame| states[frame].clone()).collect();
+        let mut key_states = self.key_states(states);
         self.fit_person(person, &mut key_states, (12, 1.0));
         self.fit_clip(person, states, 6);
         self.sigmas(person, states).0
@@ -374,8 +369,8 @@ impl<'a> Job<'a> {
     /// How sure all is, and how much a squared residual counts in that.
     fn sigmas(&self, person: &Person, states: &[State]) -> (TrackSigma, f64) {
         let openness = |trust: f64| {
-            let keys: Vec<State> = self.keys.iter().map(|&frame| states[frame].clone()).collect();
-            self.joint(person, 1.0, Some(FOCAL_DEVIATION.powi(-2))).openness(person, &keys, trust)
+            let joint = self.joint(person, 1.0, Some(FOCAL_DEVIATION.powi(-2)));
+            joint.openness(person, &self.key_states(states), trust)
         };
         spread::sigmas(self.whole(person, &self.points.shape(&person.identity)), states, (self.keys.len(), &openness))
     }
@@ -390,14 +385,13 @@ impl<'a> Job<'a> {
         let offset = offsets.map(|offsets| (offsets, &person.identity[self.modes..]));
         let head = personal::personalised(self.head, &identity, offset);
         identity.push(1.0);
-        let eyeballs = gaze::eyeballs(&head.with_identity(&identity));
+        let errors = self.errors(person, states);
+        let eyeballs = head.with_identity(&identity).eyeballs();
+        let gaze = gaze::turns(&eyeballs, self.observations, (person.lens, self.scale_px), states);
         let frames = states
             .iter()
             .enumerate()
-            .map(|(t, state)| {
-                let eyes = gaze::turns(&eyeballs, (self.observations, t), (person.lens, self.scale_px), state);
-                frame_pose(state, eyes, !self.frames[t].points.is_empty())
-            })
+            .map(|(t, state)| frame_pose(state, gaze[t], !self.frames[t].points.is_empty()))
             .collect();
         Track {
             identity,
@@ -405,28 +399,11 @@ impl<'a> Job<'a> {
             frames,
             times_seconds: self.observations.times_seconds.clone(),
             sigma,
-            landmark_rms_px: self.landmark_rms_px(person, states),
-            interocular_px: self.interocular_px(person, states),
+            landmark_rms_px: errors.rms_px,
+            interocular_px: errors.interocular_px,
             head,
         }
     }
-}
-
-/// Sum and number of the squared distances of observed and fitted landmarks, without the oval's.
-fn squares(setting: &Setting, seen: &Seen, state: &State) -> (f64, u64) {
-    let jaw = rotation(state.jaw);
-    let counted = |point: &usize| !OVAL.contains(&setting.points.indices[*point]);
-    let pairs = seen.points.iter().zip(&seen.pixels).filter(|(point, _)| counted(point));
-    pairs.fold((0.0, 0), |(sum, count), (point, pixel)| match state.project(setting, *point, &jaw) {
-        Some(fit) => (sum + (fit - *pixel).length_squared(), count + 1),
-        None => (sum, count),
-    })
-}
-
-/// Root mean square distance of a frame's landmarks; `None` for a frame without.
-fn rms_px(setting: &Setting, seen: &Seen, state: &State) -> Option<f64> {
-    let (sum, count) = squares(setting, seen, state);
-    (count > 0).then(|| (sum / count as f64).sqrt())
 }
 
 fn better(a: (State, f64), b: (State, f64)) -> (State, f64) {

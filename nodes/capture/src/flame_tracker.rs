@@ -1,7 +1,7 @@
 //! FlameTracker: a head model with FLAME's interface fitted to the landmarks of a clip.
 
 use heartian_capture::observe_clip;
-use heartian_face::models::head_path;
+use heartian_face::models::{head_path, iris_path};
 use heartian_face::{FaceError, HeadModel, HeadSource, Observations, Track, TrackOptions, track};
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, SourceFile, params, register};
 use heartian_space::{Clip, Labels, Metrics, Progress};
@@ -12,8 +12,8 @@ const PROCEDURAL: &str = "procedural";
 const INSTALLED: &str = "installed";
 
 params! {
-    /// Fits one head and camera, and a pose, jaw, expression and eyelids per frame, by damped Gauss–Newton. It sees landmarks
-    /// and nothing else: those wired in, or those it finds in the clip itself with the installed face models.
+    /// Fits one head and camera, and a pose, jaw, expression, eyelids and, where irises were seen, gaze per frame, by damped
+    /// Gauss–Newton. It sees landmarks and nothing else, so the neck stays at rest: those wired in, or those it finds in the clip itself with the installed face models.
     pub struct FlameTracker {
         /// Focal length; a face crop of a webcam has about 2.
         focal: f64 = 2.2, unit("picture widths"), range(0.3, 50.0);
@@ -48,7 +48,10 @@ impl Node for FlameTracker {
             "Head model, identity, camera, and per frame a pose and how sure it is (sigma.*: standard deviations).",
         ),
         Port::one::<Metrics>("metrics", "track.*: landmark error, jitter, how sure it is, and frames lost."),
-        Port::one::<Labels>("labels", "track.head_model: the name of the head model that was fitted."),
+        Port::one::<Labels>(
+            "labels",
+            "track.head_model: the name of the head model that was fitted; track.gaze_from: what the eyes follow.",
+        ),
     ];
 
     fn sources(&self) -> Vec<SourceFile> {
@@ -59,7 +62,9 @@ impl Node for FlameTracker {
             path => Some(SourceFile::new("head_model", path)),
         };
         let landmarks = self.head_landmarks.as_ref().map(|path| SourceFile::new("head_landmarks", path));
-        model.into_iter().chain(landmarks).map(|source| source.remedy(remedy)).collect()
+        // Which irises are seen hangs on whether their network is there.
+        let irises = iris_path().map(|path| SourceFile::new("head_model", path));
+        model.into_iter().chain(landmarks).map(|source| source.remedy(remedy)).chain(irises).collect()
     }
 
     fn run(&self, inputs: &Inputs, context: &Context) -> Result<Outputs, NodeError> {
@@ -96,7 +101,9 @@ impl Node for FlameTracker {
             .with("track.focal_sigma_percent", track.sigma.focal_percent.map_or(f64::NAN, f64::from))
             .with("track.frames_lost", lost as f64)
             .with("track.lost_frames", lost as f64);
-        let labels = Labels::of("track.head_model", &track.head.name);
+        let gaze = if landmarks.shows_irises() { "irises" } else { "straight ahead" };
+        let mut labels = Labels::of("track.head_model", &track.head.name);
+        labels.0.insert("track.gaze_from".to_owned(), gaze.to_owned());
         Ok(Outputs::new().put("track", track).put("metrics", metrics).put("labels", labels))
     }
 }

@@ -8,6 +8,7 @@ use heartian_capture::real::{RealOptions, load_real};
 use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate, generate_with_pulse};
 use heartian_capture::{CaptureError, MatteSource, matte_clip};
 use heartian_face::Observations;
+use heartian_face::models::iris_path;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
 use heartian_space::{Clip, Progress, Series};
 
@@ -91,7 +92,9 @@ impl Node for FrameLoader {
         let ppg = self.ppg.as_ref().map(|path| SourceFile::new("ppg", path).remedy(remedy));
         let remedy = "give a folder of PNG masks, one a frame";
         let masks = self.masks.as_ref().map(|path| SourceFile::new("masks", path).remedy(remedy));
-        video.into_iter().chain(beside).chain(ppg).chain(masks).collect()
+        // Which irises are seen hangs on whether their network is there.
+        let irises = iris_path().filter(|_| self.source != SYNTHETIC).map(|path| SourceFile::new("source", path));
+        video.into_iter().chain(beside).chain(ppg).chain(masks).chain(irises).collect()
     }
 
     fn leaves_empty(&self) -> Vec<&'static str> {

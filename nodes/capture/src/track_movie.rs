@@ -9,7 +9,7 @@ use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, SourceFile
 use heartian_space::{Clip, Metrics};
 
 params! {
-    /// Draws mesh, landmarks, the crop that the landmark network reads, and the matte's edge over the clip; frames without
+    /// Draws mesh, landmarks, irises, the crop that the landmark network reads, and the matte's edge over the clip; frames without
     /// a face get a red border. Of a synthetic recording it also says how near the track came to the truth.
     pub struct TrackMovie {
         /// How much is drawn, from the clip's start.
@@ -25,7 +25,7 @@ register!(TrackMovie);
 
 impl Node for TrackMovie {
     const KIND: &'static str = "TrackMovie";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const INPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "The clip that was tracked."),
         Port::one::<Track>("track", "Its track."),
@@ -63,6 +63,9 @@ impl Node for TrackMovie {
                 .with("track.jaw_correlation", scores.jaw_correlation)
                 .with("track.blink_f1", scores.blink_f1)
                 .with("track.blink_frame_f1", scores.blink_frame_f1);
+            if scores.gaze_correlation.is_finite() {
+                metrics = metrics.with("track.gaze_correlation", scores.gaze_correlation);
+            }
             if let (Some(seen), 1..) = (&landmarks, self.matte_frames) {
                 match network_iou(&clip, seen, self.matte_frames) {
                     Ok(iou) => metrics = metrics.with("matte.iou", iou),

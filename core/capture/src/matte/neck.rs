@@ -71,6 +71,8 @@ impl Necks {
             key_frames: KEY_FRAMES,
             personal_offset: false,
             rounds: 0,
+            refine_focal: false,
+            sigma: false,
             ..TrackOptions::default()
         };
         let track = match track(&HeadModel::procedural(), landmarks, &options, &mut |_| go_on()) {

@@ -1,7 +1,8 @@
-//! What a landmark detector would report: true projections with correlated noise, doubts and dropouts.
+//! What a landmark detector would report: true projections with correlated noise, doubts and dropouts; and the centres of
+//! the irises while the lids are open.
 
-use glam::Vec2;
-use heartian_face::{Landmark, Observations};
+use glam::{Vec2, Vec3};
+use heartian_face::{FramePose, Landmark, Observations};
 
 use super::options::SyntheticOptions;
 use super::random::{Random, Stream};
@@ -14,13 +15,17 @@ const CORRELATION: f64 = 0.5;
 const POINT_DROPOUT: f64 = 0.01;
 /// Chance that the detector misses the face in a frame; never in the first, which starts every tracker.
 const FRAME_DROPOUT: f64 = 0.006;
+/// Centres of the left and of the right iris, MediaPipe indices.
+const IRISES: [u32; 2] = [473, 468];
+/// A lid closed further than this hides the iris.
+const HIDDEN: f32 = 0.6;
 /// Outer eye corners, MediaPipe indices.
 const EYE_CORNERS: [u32; 2] = [33, 263];
 
 /// The observations of all frames.
 pub(crate) fn observations(
     scene: &Scene,
-    frames: &[Frame],
+    (frames, poses): (&[Frame], &[FramePose]),
     times_seconds: &[f64],
     options: &SyntheticOptions,
 ) -> Result<Observations, CaptureError> {
@@ -29,7 +34,7 @@ pub(crate) fn observations(
     let mut errors: Vec<Vec2> = Vec::new();
     let mut seen = Vec::with_capacity(frames.len());
     for (number, frame) in frames.iter().enumerate() {
-        errors = next_errors(&errors, count, options, number);
+        errors = next_errors(&errors, count + IRISES.len(), options, number);
         let in_frame = dropouts.substream(number as u64);
         if number > 0 && in_frame.uniform(0) < FRAME_DROPOUT {
             seen.push(None);
@@ -48,11 +53,24 @@ pub(crate) fn observations(
                 position_px: (*position_px + *error).to_array(),
                 weight: *confidence,
             })
+            .chain(irises(scene, &poses[number], &errors[count..]))
             .collect();
         seen.push(Some(landmarks));
     }
     let size = options.size;
     Ok(Observations::new(size, size, times_seconds.to_vec(), seen)?)
+}
+
+/// The irises' centres that no lid hides.
+fn irises<'a>(scene: &'a Scene, pose: &'a FramePose, errors: &'a [Vec2]) -> impl Iterator<Item = Landmark> + 'a {
+    scene.head.irises(pose).into_iter().enumerate().filter_map(|(eye, iris)| {
+        let pixel = scene.camera.project(Vec3::from_array(iris?.centre))? + errors[eye];
+        (pose.eyelids[eye] <= HIDDEN).then(|| Landmark {
+            index: IRISES[eye],
+            position_px: pixel.to_array(),
+            weight: 1.0 - pose.eyelids[eye],
+        })
+    })
 }
 
 /// A first-order autoregression of unit memory [`CORRELATION`], started in its stationary state.

@@ -25,6 +25,8 @@ pub struct TrackScores {
     pub blink_f1: f64,
     /// F1 of frames with shut eyes.
     pub blink_frame_f1: f64,
+    /// Pearson correlation of the eyes' yaw and pitch in frames with open eyes, their mean; NaN when the eyes found never move.
+    pub gaze_correlation: f64,
 }
 
 impl GroundTruth {
@@ -45,8 +47,20 @@ impl GroundTruth {
                 let misses = shut.iter().filter(|(a, b)| a != b).count();
                 f1(hits, hits, misses)
             },
+            gaze_correlation: gaze_correlation(&pairs),
         }
     }
+}
+
+/// Of both eyes' mean yaw and mean pitch.
+fn gaze_correlation(pairs: &[(&FramePose, &FramePose)]) -> f64 {
+    let open: Vec<_> = pairs.iter().filter(|(truth, _)| truth.eyelids[0] < SHUT).collect();
+    let axis = |axis: usize| {
+        let turn = |pose: &FramePose| f64::from(pose.eyes[0][axis] + pose.eyes[1][axis]);
+        let (a, b): (Vec<f64>, Vec<f64>) = open.iter().map(|(truth, found)| (turn(truth), turn(found))).unzip();
+        correlation(&a, &b)
+    };
+    0.5 * (axis(0) + axis(1))
 }
 
 fn is_shut(pose: &FramePose) -> bool {

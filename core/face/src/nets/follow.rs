@@ -5,7 +5,7 @@ use std::f32::consts::PI;
 use heartian_space::Rgb8Image;
 
 use super::sampling::{Border, Patch, sample};
-use super::{Detection, Detector, Net, NetError};
+use super::{Detection, Detector, IrisNet, Net, NetError};
 
 const SIDE: usize = 192;
 const POINTS: usize = 468;
@@ -62,7 +62,7 @@ impl Roi {
 /// The landmarks of one face in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaceLandmarks {
-    /// 468 × (x, y, z): pixels; z in the scale of x, negative nearer to the camera, its origin about the head's centre.
+    /// 468 × (x, y, z), or 478 with the irises: pixels; z in the scale of x, negative nearer to the camera, its origin about the head's centre.
     pub points_px: Vec<[f32; 3]>,
     /// Confidence that a face is there, in [0, 1].
     pub presence: f32,
@@ -120,6 +120,7 @@ impl LandmarkNet {
 pub struct FaceFollower<'a> {
     detector: &'a Detector,
     landmarks: &'a LandmarkNet,
+    irises: Option<&'a IrisNet>,
     rank: usize,
     roi: Option<Roi>,
     last: Option<Roi>,
@@ -128,7 +129,7 @@ pub struct FaceFollower<'a> {
 impl<'a> FaceFollower<'a> {
     /// A follower of the largest face that has seen nothing.
     pub fn new(detector: &'a Detector, landmarks: &'a LandmarkNet) -> Self {
-        Self { detector, landmarks, rank: 0, roi: None, last: None }
+        Self { detector, landmarks, irises: None, rank: 0, roi: None, last: None }
     }
 
     /// Follows the face of that rank in size instead, 0 being the largest; with fewer faces the smallest there is.
@@ -137,11 +138,25 @@ impl<'a> FaceFollower<'a> {
         self
     }
 
+    /// A follower that reads the irises too, where there is a network for them.
+    pub fn with_irises(mut self, irises: Option<&'a IrisNet>) -> Self {
+        self.irises = irises;
+        self
+    }
+
     /// The landmarks in the next frame, or `None` where no face is seen.
     ///
     /// # Errors
     /// When a network is not what it should be.
     pub fn next(&mut self, image: &Rgb8Image) -> Result<Option<FaceLandmarks>, NetError> {
+        let mut found = self.find(image)?;
+        if let (Some(face), Some(net)) = (&mut found, self.irises) {
+            face.points_px.extend(net.irises(image, &face.points_px)?.into_iter().flatten());
+        }
+        Ok(found)
+    }
+
+    fn find(&mut self, image: &Rgb8Image) -> Result<Option<FaceLandmarks>, NetError> {
         if let Some(roi) = self.roi
             && let Some(found) = self.read(image, &roi)?
         {

@@ -222,3 +222,6 @@ pub fn sigmas(
     };
     (sigma, trust)
 }
+
+#[cfg(test)]
+mod tests;
