@@ -16,7 +16,7 @@ pub struct FramePose {
     pub rotation: [f32; 3],
     /// Translation of `world_from_head`, metres.
     pub translation: [f32; 3],
-    /// Neck rotation relative to the root.
+    /// Neck rotation relative to the root. The tracker leaves it 0: landmarks show only its sum with `rotation`.
     pub neck: [f32; 3],
     /// Jaw rotation relative to the head; positive x opens.
     pub jaw: [f32; 3],

@@ -1,6 +1,8 @@
 //! The head reduced to what the tracker sees: its landmark points, with their bases and jaw weights, in f64.
 //!
-//! The neck is held at rest: no landmark lies on the trunk, so a turn of the neck and one of the whole head look alike.
+//! The neck is held at rest: no landmark lies on the trunk, so a turn of the neck and one of the whole head look alike, and
+//! what is fitted is their sum. A split by rule (half of the turn from the clip's mean, say) would move trunk and neck by
+//! something that nobody saw, and is wrong where a whole body turns on a chair; so the sum is given as the head's own turn.
 
 use glam::{DMat3, DVec3};
 
