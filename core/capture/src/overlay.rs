@@ -7,7 +7,7 @@ use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 use heartian_face::nets::Roi;
-use heartian_face::{HeadModel, Iris, Landmark, Observations, Track};
+use heartian_face::{HeadModel, Iris, Landmark, Observations, Region, Track};
 use heartian_space::{Camera, Clip, Rgb8Image, Sequence};
 use rayon::prelude::*;
 
@@ -111,10 +111,11 @@ fn by_index(seen: &[Landmark]) -> Vec<[f32; 3]> {
 
 const NONE: u32 = u32::MAX;
 
-/// Every edge once: its ends and the one or two triangles beside it.
+/// Every edge once, but for the eyeballs', which would hide the irises: its ends and the one or two triangles beside it.
 fn edges(head: &HeadModel) -> Vec<[u32; 4]> {
     let mut list: Vec<[u32; 3]> = Vec::with_capacity(3 * head.triangles.len());
-    for (number, triangle) in head.triangles.iter().enumerate() {
+    let eye = |triangle: &[u32; 3]| matches!(head.regions[triangle[0] as usize], Region::EyeLeft | Region::EyeRight);
+    for (number, triangle) in head.triangles.iter().enumerate().filter(|(_, triangle)| !eye(triangle)) {
         for k in 0..3 {
             let (a, b) = (triangle[k], triangle[(k + 1) % 3]);
             list.push([a.min(b), a.max(b), number as u32]);

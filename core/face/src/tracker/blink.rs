@@ -2,7 +2,8 @@
 //!
 //! Landmark networks learnt on open eyes keep the lids apart in a blink: a closed eye is seen at a half or a third of the
 //! way. What they do show is that the distance falls and rises within half a second, so a blink is told by its shape in
-//! time, and how far it closes by the clip's own blinks. Distances are in widths of the eye.
+//! time, and how far it closes by the clip's own blinks. Eyes that stay shut are told by a fall and a rise as sudden as a
+//! blink's with nothing but low distances between; a squint comes and goes slowly. Distances are in widths of the eye.
 
 use super::frame::Seen;
 use super::points::Points;
@@ -16,6 +17,9 @@ const AROUND_SECONDS: f64 = 1.0;
 const DIP: [f64; 2] = [0.12, 0.25];
 /// A blink is over after this long; longer is a squint, which the landmarks show by themselves.
 const LONGEST_SECONDS: f64 = 0.5;
+/// A fall or rise by the second share of [`DIP`] within this time is sudden; eyes stay shut no longer than the second.
+const SUDDEN_SECONDS: f64 = 0.1;
+const LONGEST_SHUT_SECONDS: f64 = 6.0;
 /// At least so many blinks say how far a closed eye is seen closed; fewer are taken for whole when they look nearly so.
 const ENOUGH_BLINKS: usize = 3;
 /// What is taken for closed without them, as a share of the open eye.
@@ -41,7 +45,47 @@ pub fn closures(points: &Points, frames: &[Seen], times: &[f64]) -> Vec<Option<f
     for t in blinks.into_iter().flatten() {
         closures[t] = Some(((1.0 - left[t]) / (1.0 - closed)).clamp(0.0, 1.0));
     }
+    for (run, [before, after]) in shut(&aspects, times) {
+        for t in run.clone() {
+            let share = (t - run.start) as f64 / run.len() as f64;
+            let open = before + share * (after - before);
+            let closure = aspects[t].map(|now| ((1.0 - now / open) / (1.0 - closed)).clamp(0.0, 1.0));
+            closures[t] = closure.map(|closure| closures[t].map_or(closure, |blink| closure.max(blink)));
+        }
+    }
     closures
+}
+
+/// Runs of frames longer than a blink between a sudden fall and a sudden rise, and the distances before and after them.
+fn shut(aspects: &[Option<f64>], times: &[f64]) -> Vec<(std::ops::Range<usize>, [f64; 2])> {
+    let low = |now: f64, open: f64| now < (1.0 - DIP[1]) * open;
+    // The frame of the lately open eye from which a frame is a sudden change, seen towards either side.
+    let open_from = |t: usize, back: bool| -> Option<f64> {
+        let near = |s: &usize| (times[*s] - times[t]).abs() <= SUDDEN_SECONDS;
+        let around: Vec<usize> = if back {
+            (0..t).rev().take_while(near).collect()
+        } else {
+            (t + 1..times.len()).take_while(near).collect()
+        };
+        around.into_iter().filter_map(|s| aspects[s]).find(|open| aspects[t].is_some_and(|now| low(now, *open)))
+    };
+    let mut found: Vec<(std::ops::Range<usize>, [f64; 2])> = Vec::new();
+    let mut t = 0;
+    while t < aspects.len() {
+        let from = t;
+        t += 1;
+        let Some(before) = open_from(from, true) else { continue };
+        let stays = |s: &usize| {
+            aspects[*s].is_some_and(|now| low(now, before)) && times[*s] - times[from] <= LONGEST_SHUT_SECONDS
+        };
+        let end = (from..aspects.len()).take_while(stays).last().unwrap_or(from);
+        let long = times[end] - times[from] > LONGEST_SECONDS;
+        if let (true, Some(after)) = (long, open_from(end, false)) {
+            found.push((from..end + 1, [before, after]));
+            t = end + 1;
+        }
+    }
+    found
 }
 
 /// Mean distance of the lids over the eyes' widths; `None` unless every landmark of one eye is seen.
@@ -115,6 +159,24 @@ mod tests {
     }
 
     #[test]
+    fn eyes_that_stay_shut_are_shut_and_narrowed_ones_are_not() {
+        let points = Points::new(&HeadModel::procedural());
+        let mut openings = vec![0.31; 200];
+        for blink in [10, 25, 40] {
+            openings[blink] = 0.19;
+        }
+        openings[60..110].fill(0.21);
+        // Narrowed over half a second, and back.
+        (0..12).for_each(|k| openings[130 + k] = 0.31 - 0.008 * k as f64);
+        openings[142..170].fill(0.214);
+        (0..12).for_each(|k| openings[170 + k] = 0.214 + 0.008 * k as f64);
+        let times: Vec<f64> = (0..200).map(|t| f64::from(t) / 25.0).collect();
+        let found = closures(&points, &frames(&points, &openings), &times);
+        assert!((60..110).all(|t| found[t].is_some_and(|closure| closure > 0.75)), "{:?}", &found[55..115]);
+        assert!((115..200).all(|t| found[t].is_none()), "{:?}", &found[115..]);
+    }
+
+    #[test]
     fn half_seen_blinks_are_whole_and_a_squint_is_none() {
         let points = Points::new(&HeadModel::procedural());
         let mut openings = vec![0.33; 200];
@@ -123,7 +185,7 @@ mod tests {
             openings[blink + 1] = 0.18;
             openings[blink + 2] = 0.27;
         }
-        openings[150..185].fill(0.22);
+        openings[150..185].fill(0.26);
         let times: Vec<f64> = (0..200).map(|t| f64::from(t) / 25.0).collect();
         let found = closures(&points, &frames(&points, &openings), &times);
         for blink in [30, 80, 130] {
