@@ -35,7 +35,7 @@ pub fn trade_off_figure(points: &[TradeOff], error: &str) -> Result<Rgb8Image, R
     if shown.is_empty() {
         return Err(ReportError::Nothing("setting"));
     }
-    let x = padded(shown.iter().map(|p| p.seconds), [1.5, 6.0]);
+    let x = padded(shown.iter().map(|p| p.seconds), [1.5, 3.0]);
     let y = padded(shown.iter().map(|p| p.error), [1.6, 1.6]);
     let mut groups: Vec<&str> = Vec::new();
     for point in &shown {
