@@ -67,7 +67,7 @@ register!(FrameLoader);
 
 impl Node for FrameLoader {
     const KIND: &'static str = "FrameLoader";
-    const REVISION: u32 = 5;
+    const REVISION: u32 = 6;
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),

@@ -9,8 +9,8 @@ use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, Port, SourceFile
 use heartian_space::{Clip, Metrics};
 
 params! {
-    /// Draws mesh, landmarks, irises, the crop that the landmark network reads, and the matte's edge over the clip; frames without
-    /// a face get a red border. Of a synthetic recording it also says how near the track came to the truth.
+    /// Draws mesh, landmarks, irises, the crop that the landmark network reads, and the matte's edge over the clip; frames
+    /// without a face get a red border. Of a synthetic recording it also says how near the track came to the truth.
     pub struct TrackMovie {
         /// How much is drawn, from the clip's start.
         seconds: f64 = 8.0, unit("s"), range(0.1, 600.0);

@@ -62,7 +62,8 @@ impl Roi {
 /// The landmarks of one face in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaceLandmarks {
-    /// 468 × (x, y, z), or 478 with the irises: pixels; z in the scale of x, negative nearer to the camera, its origin about the head's centre.
+    /// 468 × (x, y, z), or 478 with the irises: pixels; z in the scale of x, negative nearer to the camera, its origin about
+    /// the head's centre.
     pub points_px: Vec<[f32; 3]>,
     /// Confidence that a face is there, in [0, 1].
     pub presence: f32,
