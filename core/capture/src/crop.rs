@@ -1,6 +1,9 @@
-//! The square a real recording is cut to: fixed over the clip, around the head with hair, chin and neck.
+//! The square a real recording is cut to, around the head with hair, chin and neck: fixed over the clip, or going with it.
+
+mod following;
 
 use heartian_space::Rgb8Image;
+use serde::{Deserialize, Serialize};
 
 /// Landmarks of one face: x, y in pixels; z unused here.
 pub(crate) type Points = [[f32; 3]];
@@ -16,6 +19,29 @@ pub struct CropSquare {
     pub side_px: f32,
 }
 
+/// How the square lies over a clip.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum CropMotion {
+    /// One square that holds the head in nearly all frames.
+    #[default]
+    Fixed,
+    /// A square of one size that goes with the head, steadily.
+    Following,
+}
+
+impl CropMotion {
+    /// The square of every frame; `None` without any finite landmark. One entry a frame, `None` where no face is seen.
+    pub(crate) fn squares(self, faces: &[Option<&Points>], times_seconds: &[f64]) -> Option<Vec<CropSquare>> {
+        match self {
+            Self::Fixed => {
+                let square = CropSquare::around(faces.iter().copied().flatten())?;
+                Some(vec![square; faces.len()])
+            }
+            Self::Following => following::squares(faces, times_seconds),
+        }
+    }
+}
+
 /// The head with hair and neck reaches this far beyond the landmarks' box, in multiples of the box's longer side.
 const ABOVE: f32 = 0.55;
 const BELOW: f32 = 0.40;
@@ -25,19 +51,10 @@ impl CropSquare {
     /// The smallest square that holds the head in nearly all frames; `None` without any finite landmark.
     pub fn around<'a>(faces: impl Iterator<Item = &'a Points>) -> Option<Self> {
         let mut edges: [Vec<f32>; 4] = Default::default();
-        for points in faces {
-            let [left, top, right, bottom] = bounds(points);
-            let side = (right - left).max(bottom - top);
-            if side.is_finite() && side > 0.0 {
-                let head = [left - BESIDE * side, top - ABOVE * side, right + BESIDE * side, bottom + BELOW * side];
-                edges.iter_mut().zip(head).for_each(|(list, edge)| list.push(edge));
-            }
+        for head in faces.filter_map(head_box) {
+            edges.iter_mut().zip(head).for_each(|(list, edge)| list.push(edge));
         }
         // A landmark gone astray in a frame must not blow up the square.
-        let quantile = |list: &mut Vec<f32>, q: f32| {
-            list.sort_by(f32::total_cmp);
-            list.get(((list.len().saturating_sub(1)) as f32 * q).round() as usize).copied()
-        };
         let [lefts, tops, rights, bottoms] = &mut edges;
         let (left, right) = (quantile(lefts, 0.02)?, quantile(rights, 0.98)?);
         let (top, bottom) = (quantile(tops, 0.02)?, quantile(bottoms, 0.98)?);
@@ -51,6 +68,20 @@ impl CropSquare {
         let scale = size as f32 / self.side_px;
         [(x - self.left_px) * scale, (y - self.top_px) * scale]
     }
+}
+
+/// Left, top, right, bottom of the head with hair and neck; `None` without area.
+fn head_box(points: &Points) -> Option<[f32; 4]> {
+    let [left, top, right, bottom] = bounds(points);
+    let side = (right - left).max(bottom - top);
+    let head = [left - BESIDE * side, top - ABOVE * side, right + BESIDE * side, bottom + BELOW * side];
+    (side.is_finite() && side > 0.0).then_some(head)
+}
+
+/// The value that the share `q` of a list does not exceed; sorts it.
+fn quantile(list: &mut [f32], q: f32) -> Option<f32> {
+    list.sort_by(f32::total_cmp);
+    list.get(((list.len().saturating_sub(1)) as f32 * q).round() as usize).copied()
 }
 
 /// Left, top, right, bottom.

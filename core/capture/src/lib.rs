@@ -16,7 +16,7 @@ pub mod real;
 pub mod synthetic;
 pub mod video;
 
-pub use crop::CropSquare;
+pub use crop::{CropMotion, CropSquare};
 pub use error::CaptureError;
 pub use matte::{MatteSource, matte_clip, matte_iou, network_iou};
 pub use observe::observe_clip;

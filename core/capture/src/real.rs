@@ -1,7 +1,7 @@
 //! A real recording: video in; head crop, matte and landmarks out.
 //!
 //! The video is read three times and never held whole: to follow the face, to look at what the person wears, and to cut
-//! out the square that holds the head. Landmarks come in pixels of the crop, raw (the tracker smooths), and `None` where no
+//! out the square that holds the head ([`CropMotion`]: fixed, or going with it). Landmarks come in pixels of the crop, raw (the tracker smooths), and `None` where no
 //! face is seen. Frame times are those of the recording, so that a pulse trace on the same clock stays aligned when
 //! `start_seconds` is not 0.
 
@@ -15,7 +15,7 @@ use heartian_space::{Clip, Progress, Rgb8Image, Sequence};
 use rayon::prelude::*;
 
 use crate::CaptureError;
-use crate::crop::{CropSquare, Cropper};
+use crate::crop::{CropMotion, CropSquare, Cropper, Points};
 use crate::matte::{Body, Evidence, LOOKS, nearest_face, refine};
 use crate::video::{self, VideoOptions};
 
@@ -33,6 +33,8 @@ pub struct RealOptions {
     pub seconds: f64,
     /// Side of the crop, pixels, 32–4096.
     pub size: usize,
+    /// How the crop lies over the clip.
+    pub crop: CropMotion,
     /// Whether to cut the head out; without, alpha is 255 wherever the camera saw.
     pub matte: bool,
     /// Frame rate of a folder of pictures that has no file of times.
@@ -49,6 +51,7 @@ impl Default for RealOptions {
             start_seconds: 0.0,
             seconds: f64::INFINITY,
             size: 256,
+            crop: CropMotion::Fixed,
             matte: true,
             folder_hertz: 30.0,
             resample_hertz: None,
@@ -64,8 +67,8 @@ pub struct RealRecording {
     pub clip: Clip,
     /// Landmarks of every frame, in pixels of the clip.
     pub observations: Observations,
-    /// Where the clip lies in the source.
-    pub square: CropSquare,
+    /// Where each frame lies in the source.
+    pub squares: Vec<CropSquare>,
     /// What was doubtful in the source and read all the same, a line each.
     pub warnings: Vec<String>,
 }
@@ -82,21 +85,26 @@ pub fn load_real(
     check(options)?;
     let nets = FaceNets::load()?;
     let followed = follow(source, options, &nets, progress)?;
-    let faces = followed.faces.iter().flatten().map(|face| face.points_px.as_slice());
-    let Some(square) = CropSquare::around(faces) else {
+    let faces: Vec<Option<&Points>> =
+        followed.faces.iter().map(|face| face.as_ref().map(|face| face.points_px.as_slice())).collect();
+    let Some(squares) = options.crop.squares(&faces, &followed.times_seconds) else {
         let frames = followed.faces.len();
         return Err(CaptureError::NoFace { source_path: source.to_owned(), frames });
     };
-    let frames = followed.faces.iter().map(|face| face.as_ref().map(|face| landmarks(face, square, options.size)));
+    let seen = |(face, square): (&Option<FaceLandmarks>, &CropSquare)| {
+        face.as_ref().map(|face| landmarks(face, *square, options.size))
+    };
+    let frames = followed.faces.iter().zip(&squares).map(seen);
     let observations = Observations::new(options.size, options.size, followed.times_seconds.clone(), frames.collect())?;
     let cutter = Cutter {
         options,
         nets: &nets,
-        cropper: Cropper::new(square, followed.frame_size, options.size),
+        squares: &squares,
+        frame_size: followed.frame_size,
         observations: &observations,
     };
     let clip = cutter.cut(source, progress)?;
-    Ok(RealRecording { clip, observations, square, warnings: followed.warnings })
+    Ok(RealRecording { clip, observations, squares, warnings: followed.warnings })
 }
 
 fn check(options: &RealOptions) -> Result<(), CaptureError> {
@@ -185,11 +193,18 @@ fn landmarks(face: &FaceLandmarks, square: CropSquare, size: usize) -> Vec<Landm
 struct Cutter<'a> {
     options: &'a RealOptions,
     nets: &'a FaceNets,
-    cropper: Cropper,
+    squares: &'a [CropSquare],
+    frame_size: (usize, usize),
     observations: &'a Observations,
 }
 
 impl Cutter<'_> {
+    /// The cropper of a frame; a video that grew since it was followed keeps the last one.
+    fn cropper(&self, frame: usize) -> Cropper {
+        let square = self.squares[frame.min(self.squares.len() - 1)];
+        Cropper::new(square, self.frame_size, self.options.size)
+    }
+
     /// Looks at frames spread over the recording: how the head sits on its neck, and what the person wears.
     fn body(
         &self,
@@ -202,7 +217,7 @@ impl Cutter<'_> {
         let mut frame = 0;
         for_each_frame(source, self.options, |_, image| {
             if frame % total.div_ceil(LOOKS) == 0 {
-                let crop = self.cropper.crop(&image);
+                let crop = self.cropper(frame).crop(&image);
                 let probability = self.nets.person.probability(&crop)?;
                 body.look(frame, &crop, &probability, &nearest_face(self.observations, frame));
             }
@@ -216,13 +231,12 @@ impl Cutter<'_> {
     fn cut(&self, source: &Path, progress: &mut dyn FnMut(Progress) -> ControlFlow<()>) -> Result<Clip, CaptureError> {
         let (size, total) = (self.options.size, self.observations.len());
         let body = if self.options.matte { self.body(source, progress)? } else { None };
-        let coverage = self.cropper.coverage();
         let mut frames = Vec::with_capacity(total * size * size * 3);
         let mut alpha = Vec::with_capacity(total * size * size);
         let mut batch: Vec<Rgb8Image> = Vec::with_capacity(BATCH_FRAMES);
         let mut flush = |batch: &mut Vec<Rgb8Image>| -> Result<(), CaptureError> {
             let first = alpha.len() / (size * size);
-            let cut_one = |(i, image): (usize, &Rgb8Image)| self.cut_one((first + i, image), &coverage, body.as_ref());
+            let cut_one = |(i, image): (usize, &Rgb8Image)| self.cut_one((first + i, image), body.as_ref());
             for done in batch.par_iter().enumerate().map(cut_one).collect::<Vec<_>>() {
                 let (crop, matte) = done?;
                 frames.extend_from_slice(&crop.data);
@@ -244,16 +258,16 @@ impl Cutter<'_> {
     fn cut_one(
         &self,
         (frame, image): (usize, &Rgb8Image),
-        coverage: &[f32],
         body: Option<&Body>,
     ) -> Result<(Rgb8Image, Vec<u8>), CaptureError> {
-        let mut crop = self.cropper.crop(image);
+        let cropper = self.cropper(frame);
+        let (mut crop, coverage) = (cropper.crop(image), cropper.coverage());
         if !self.options.matte {
             return Ok((crop, coverage.iter().map(|part| (part * 255.0 + 0.5) as u8).collect()));
         }
         let probability = self.nets.person.probability(&crop)?;
         let (face, cut) = (nearest_face(self.observations, frame), body.map(|body| body.cut(frame, &crop)));
-        let evidence = Evidence { probability: &probability, coverage, face: &face, body: cut.as_ref() };
+        let evidence = Evidence { probability: &probability, coverage: &coverage, face: &face, body: cut.as_ref() };
         let matte = refine(&mut crop, &evidence);
         Ok((crop, matte))
     }

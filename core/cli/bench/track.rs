@@ -153,7 +153,9 @@ fn cut(head: &HeadModel, [identity, expression]: [usize; 2]) -> HeadModel {
 
 /// One landmark of so many, in every frame.
 fn thinned(seen: &Observations, every: usize) -> Result<Observations> {
-    let frame = |t: usize| seen.has_face(t).then(|| seen.frame(t).filter(|l| l.index as usize % every == 0).collect());
+    let frame = |t: usize| {
+        seen.has_face(t).then(|| seen.frame(t).filter(|l| (l.index as usize).is_multiple_of(every)).collect())
+    };
     let frames = (0..seen.len()).map(frame).collect();
     Observations::new(seen.width, seen.height, seen.times_seconds.clone(), frames).into_diagnostic()
 }

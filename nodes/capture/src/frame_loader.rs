@@ -6,7 +6,7 @@ use heartian_capture::dataset::{self, Place};
 use heartian_capture::ppg::{self, ClipPpg, cover_clip, read_ppg};
 use heartian_capture::real::{RealOptions, load_real};
 use heartian_capture::synthetic::{GroundTruth, Light, SkinTone, SyntheticOptions, generate, generate_with_pulse};
-use heartian_capture::{CaptureError, MatteSource, matte_clip};
+use heartian_capture::{CaptureError, CropMotion, MatteSource, matte_clip};
 use heartian_face::Observations;
 use heartian_face::models::iris_path;
 use heartian_graph::{Context, Inputs, Node, NodeError, Outputs, ParamError, Port, SourceFile, params, register};
@@ -31,6 +31,9 @@ params! {
         start_seconds: f64 = 0.0, unit("s"), range(0.0, 86400.0);
         /// Side of the square clip.
         size: usize = 256, unit("px"), range(32.0, 2048.0);
+        /// How the crop lies over a file's frames: fixed, or going with a person who moves across the picture. A crop that
+        /// follows is like a camera that pans: poses and light are that camera's, and the frame's edge moves.
+        crop: CropMotion = CropMotion::Fixed, choices(&["Fixed", "Following"]);
         /// Which face is followed where a recording shows several: 1 is the largest at its start, 2 the next.
         face: usize = 1, range(1.0, 16.0);
         /// Cut out head and neck; without, the whole crop counts.
@@ -67,7 +70,7 @@ register!(FrameLoader);
 
 impl Node for FrameLoader {
     const KIND: &'static str = "FrameLoader";
-    const REVISION: u32 = 6;
+    const REVISION: u32 = 7;
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one::<Clip>("clip", "Frames, matte and frame times, labelled `input`."),
@@ -181,6 +184,7 @@ impl FrameLoader {
             start_seconds: self.start_seconds,
             seconds: self.seconds,
             size: self.size,
+            crop: self.crop,
             matte: self.matte && self.own_matte().is_none(),
             folder_hertz: self.frames_per_second,
             resample_hertz: self.resample_hertz,

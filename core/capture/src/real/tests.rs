@@ -189,3 +189,23 @@ fn look(recording: &RealRecording) {
     encoder.set_color(png::ColorType::Rgb);
     encoder.write_header().unwrap().write_image_data(&sheet.data).unwrap();
 }
+
+/// The clip panned over by the reader's own crop is nearly the clip held still: the head sits in the middle of every frame.
+#[test]
+fn a_crop_that_follows_keeps_the_head_in_the_middle() {
+    let Some(path) = real_clip() else { return };
+    let options = |crop| RealOptions { seconds: 3.0, size: 64, matte: false, crop, ..RealOptions::default() };
+    let [fixed, following] =
+        [CropMotion::Fixed, CropMotion::Following].map(|crop| load_real(&path, &options(crop), &mut go).unwrap());
+    let wander = |recording: &RealRecording| {
+        let nose = |frame: usize| recording.observations.frame(frame).nth(1).unwrap().position_px[0];
+        let noses: Vec<f32> = (0..recording.clip.len()).map(nose).collect();
+        let mean = noses.iter().sum::<f32>() / noses.len() as f32;
+        (noses.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / noses.len() as f32).sqrt()
+    };
+    println!("side {} and {}", fixed.squares[0].side_px, following.squares[0].side_px);
+    println!("nose wanders {} px fixed, {} px following", wander(&fixed), wander(&following));
+    assert!(following.squares[0].side_px <= fixed.squares[0].side_px);
+    assert!(wander(&following) < wander(&fixed));
+    assert_eq!(fixed.clip.len(), following.clip.len());
+}
