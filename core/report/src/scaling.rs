@@ -45,6 +45,7 @@ pub fn scaling_figure(lines: &[ScalingLine], size: &str) -> Result<Rgb8Image, Re
         let mut mesh = chart.configure_mesh();
         mesh.x_desc(size).y_desc("ms").light_line_style(RGBColor(246, 246, 246));
         mesh.label_style((FONT, 16).into_font()).axis_desc_style((FONT, 17).into_font());
+        mesh.x_labels(4).x_label_formatter(&|size| format!("{size:.0}"));
         mesh.draw().map_err(drawing)?;
         for (index, line) in lines.iter().enumerate() {
             let color = PALETTE[index % PALETTE.len()];
@@ -57,7 +58,7 @@ pub fn scaling_figure(lines: &[ScalingLine], size: &str) -> Result<Rgb8Image, Re
             chart.draw_series(points().map(|point| Circle::new(point, 5, color.filled()))).map_err(drawing)?;
         }
         let mut legend = chart.configure_series_labels();
-        legend.position(SeriesLabelPosition::UpperLeft).label_font((FONT, 16).into_font());
+        legend.position(SeriesLabelPosition::LowerRight).label_font((FONT, 16).into_font());
         legend.background_style(RGBColor(255, 255, 255)).draw().map_err(drawing)
     })?;
     Ok(image)
