@@ -2,6 +2,7 @@
 
 use heartian_space::Camera;
 
+use crate::GpuBuffer;
 use crate::adam::AdamOptions;
 use crate::gaussians::SceneGradients;
 use crate::loss::{Photometric, PhotometricWeights};
@@ -82,4 +83,37 @@ pub struct LightRate {
     pub keep: f32,
     /// Decay rates and guard.
     pub options: AdamOptions,
+}
+
+/// Steps whose reports a device keeps.
+pub(crate) const REPORTS: usize = 64;
+
+/// One dispatch of a kernel.
+#[derive(Clone, Copy, Debug)]
+pub struct GpuCall<'a> {
+    /// WGSL; `common.wgsl` stands before it.
+    pub text: &'static str,
+    /// The entry point's name.
+    pub entry: &'static str,
+    /// What stands at which binding of group 0: exactly those that the entry point uses.
+    pub bindings: &'a [(u32, &'a GpuBuffer)],
+    /// Workgroups, in rows of `ROW`: number `group.y * ROW + group.x`.
+    pub workgroups: usize,
+}
+
+/// What the kernels around the rasteriser share with it, in the layout that `project.wgsl` and `loss.wgsl` say.
+#[derive(Clone, Debug)]
+pub struct GpuScene {
+    /// Three of four floats a Gaussian: mean and opacity; scales; rotation (w, x, y, z).
+    pub geometry: GpuBuffer,
+    /// Three features a Gaussian without a light, eight with one.
+    pub features: GpuBuffer,
+    /// Four of four a Gaussian: by mean and opacity; by scales, and weight; by rotation; by the mean in pixels, radius.
+    pub on_geometry: GpuBuffer,
+    /// One of four floats a Gaussian without a light, three with one: by its features.
+    pub on_features: GpuBuffer,
+    /// A pixel's wanted sRGB over black, and alpha.
+    pub wanted: GpuBuffer,
+    /// The first word is set when updates have stopped.
+    pub status: GpuBuffer,
 }

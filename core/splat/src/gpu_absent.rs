@@ -15,7 +15,7 @@ use crate::gaussians::{Gaussians, SceneGradients};
 use crate::project::RasterOptions;
 use crate::render::{Frame, FrameGradient};
 
-pub use resident::{GpuAdam, GpuBuffer, GpuCall, GpuFrames, GpuKernels, GpuReading, GpuScene};
+pub use resident::{GpuAdam, GpuBuffer, GpuFrames, GpuKernels, GpuReading};
 
 /// No adapters.
 pub fn adapters() -> Vec<AdapterReport> {

@@ -41,18 +41,16 @@ pub use blend_weights::{Csr, blend_weights};
 pub use device::{AdapterReport, Device, KERNEL_PRELUDE};
 pub use environment::{Environment, RADIANCE_COEFFICIENTS};
 pub use error::SplatError;
-pub use fit::{AdamGroup, FitShape, FitStep, FitTarget, LightRate, StepReport};
+pub use fit::{AdamGroup, FitShape, FitStep, FitTarget, GpuCall, GpuScene, LightRate, StepReport};
 pub use gather::backward;
 pub use gaussians::{Activated, Gaussians, MAX_CHANNELS, RawGaussians, SceneGradients, logit, sigmoid};
 #[cfg(feature = "gpu")]
 pub use gpu::{
-    Gpu, GpuAdam, GpuBuffer, GpuCall, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading,
-    GpuScene, adapters,
+    Gpu, GpuAdam, GpuBuffer, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading, adapters,
 };
 #[cfg(not(feature = "gpu"))]
 pub use gpu_absent::{
-    Gpu, GpuAdam, GpuBuffer, GpuCall, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading,
-    GpuScene, adapters,
+    Gpu, GpuAdam, GpuBuffer, GpuFitter, GpuFrames, GpuKernels, GpuPresenter, GpuRasteriser, GpuReading, adapters,
 };
 pub use lanes::{SimdLevel, simd_level};
 pub use light_file::{LightImage, light_from_file};

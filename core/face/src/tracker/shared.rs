@@ -98,15 +98,7 @@ impl Joint<'_> {
 
     /// One trial step; `None` when the system cannot be solved.
     fn step(&self, person: &Person, states: &[State], damping: f64) -> Option<(Person, Vec<State>)> {
-        let shape = self.points.shape(&person.identity);
-        let setting = self.setting(person, &shape);
-        let parts: Option<Vec<Eliminated>> = self
-            .frames
-            .par_iter()
-            .zip(states)
-            .map(|(seen, state)| self.eliminated(&setting, seen, state, damping))
-            .collect();
-        let parts = parts?;
+        let parts = self.all_eliminated(person, states, damping)?;
         let n = self.shared().count();
         let mut matrix = vec![0.0; n * n];
         let mut gradient = vec![0.0; n];
@@ -134,15 +126,7 @@ impl Joint<'_> {
     /// How far the shared unknowns are open, and what follows for the frames, where squared residuals count `trust` and the
     /// shared unknowns' squares one. `None` when a landmark falls behind the camera or nothing is determined.
     pub fn openness(&self, person: &Person, states: &[State], trust: f64) -> Option<Openness> {
-        let shape = self.points.shape(&person.identity);
-        let setting = self.setting(person, &shape);
-        let parts: Option<Vec<Eliminated>> = self
-            .frames
-            .par_iter()
-            .zip(states)
-            .map(|(seen, state)| self.eliminated(&setting, seen, state, 0.0))
-            .collect();
-        let (parts, n) = (parts?, self.shared().count());
+        let (parts, n) = (self.all_eliminated(person, states, 0.0)?, self.shared().count());
         let mut factor = vec![0.0; n * n];
         for part in &parts {
             factor.iter_mut().zip(&part.schur).for_each(|(sum, value)| *sum += trust * value);
@@ -159,6 +143,14 @@ impl Joint<'_> {
         forward(&factor, n, &mut last);
         let focal = self.focal_prior.map_or(0.0, |_| last[n - 1] * last[n - 1]);
         Some(Openness { own: own_variances(&parts, states, &factor), focal })
+    }
+
+    /// Every frame with its own unknowns eliminated; `None` when one cannot be.
+    fn all_eliminated(&self, person: &Person, states: &[State], damping: f64) -> Option<Vec<Eliminated>> {
+        let shape = self.points.shape(&person.identity);
+        let setting = self.setting(person, &shape);
+        let frames = self.frames.par_iter().zip(states);
+        frames.map(|(seen, state)| self.eliminated(&setting, seen, state, damping)).collect()
     }
 
     fn setting<'b>(&'b self, person: &Person, shape: &'b Shape) -> Setting<'b> {

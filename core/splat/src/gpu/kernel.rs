@@ -8,6 +8,7 @@ use super::arena::{Store, uniform};
 use super::device::Gpu;
 use super::program::{Call, Groups, Recording, Source};
 use crate::error::SplatError;
+use crate::fit::GpuCall;
 
 /// Words of four bytes on a device, shared by the kernels that are given it. A clone is the same buffer.
 #[derive(Clone, Debug)]
@@ -68,19 +69,6 @@ impl GpuBuffer {
     pub fn write_floats(&self, at: usize, values: &[f32]) -> Result<(), SplatError> {
         self.write(at, bytemuck::cast_slice(values))
     }
-}
-
-/// One dispatch of a kernel.
-#[derive(Clone, Copy, Debug)]
-pub struct GpuCall<'a> {
-    /// WGSL; `common.wgsl` stands before it.
-    pub text: &'static str,
-    /// The entry point's name.
-    pub entry: &'static str,
-    /// What stands at which binding of group 0: exactly those that the entry point uses.
-    pub bindings: &'a [(u32, &'a GpuBuffer)],
-    /// Workgroups, in rows of `ROW`: number `group.y * ROW + group.x`.
-    pub workgroups: usize,
 }
 
 /// Dispatches that are made one after another, recorded once and replayed every step.

@@ -9,31 +9,14 @@ use super::fit::{GpuFitter, REPORT_WORDS};
 use super::kernel::{GpuBuffer, GpuKernels, GpuReading};
 use crate::environment::Environment;
 use crate::error::SplatError;
-use crate::fit::{FitShape, LightRate, StepReport};
+use crate::fit::{FitShape, GpuScene, LightRate, REPORTS, StepReport};
 use crate::project::RasterOptions;
 use crate::render::check_camera;
 use crate::shade::DEFERRED_CHANNELS;
 
-/// What the kernels around the rasteriser share with it, in the layout that `project.wgsl` and `loss.wgsl` say.
-#[derive(Clone, Debug)]
-pub struct GpuScene {
-    /// Three of four floats a Gaussian: mean and opacity; scales; rotation (w, x, y, z).
-    pub geometry: GpuBuffer,
-    /// Three features a Gaussian without a light, eight with one.
-    pub features: GpuBuffer,
-    /// Four of four a Gaussian: by mean and opacity; by scales, and weight; by rotation; by the mean in pixels, radius.
-    pub on_geometry: GpuBuffer,
-    /// One of four floats a Gaussian without a light, three with one: by its features.
-    pub on_features: GpuBuffer,
-    /// A pixel's wanted sRGB over black, and alpha.
-    pub wanted: GpuBuffer,
-    /// The first word is set when updates have stopped.
-    pub status: GpuBuffer,
-}
-
 impl GpuFitter {
     /// Steps whose reports are kept.
-    pub const REPORTS: usize = 64;
+    pub const REPORTS: usize = REPORTS;
 
     /// Makes room for a scene that stays; gives the buffers that it is made in, which hold nothing of use yet. They are
     /// others after every call.

@@ -8,11 +8,11 @@ use super::{Gpu, GpuFitter, GpuPresenter};
 use crate::adam::AdamOptions;
 use crate::environment::Environment;
 use crate::error::SplatError;
-use crate::fit::{AdamGroup, FitShape, LightRate, StepReport};
+use crate::fit::{AdamGroup, FitShape, GpuCall, GpuScene, LightRate, REPORTS, StepReport};
 
 impl GpuFitter {
     /// Steps whose reports are kept.
-    pub const REPORTS: usize = 64;
+    pub const REPORTS: usize = REPORTS;
 
     /// As the twin's.
     ///
@@ -92,23 +92,6 @@ impl GpuPresenter {
     }
 }
 
-/// What kernels around a rasteriser share with it; there can be none.
-#[derive(Clone, Debug)]
-pub struct GpuScene {
-    /// As the twin's.
-    pub geometry: GpuBuffer,
-    /// As the twin's.
-    pub features: GpuBuffer,
-    /// As the twin's.
-    pub on_geometry: GpuBuffer,
-    /// As the twin's.
-    pub on_features: GpuBuffer,
-    /// As the twin's.
-    pub wanted: GpuBuffer,
-    /// As the twin's.
-    pub status: GpuBuffer,
-}
-
 /// Words on a device; there can be none.
 #[derive(Clone, Debug)]
 pub enum GpuBuffer {}
@@ -150,19 +133,6 @@ impl GpuBuffer {
     pub fn write_floats(&self, _: usize, _: &[f32]) -> Result<(), SplatError> {
         match *self {}
     }
-}
-
-/// One dispatch of a kernel.
-#[derive(Clone, Copy, Debug)]
-pub struct GpuCall<'a> {
-    /// As the twin's.
-    pub text: &'static str,
-    /// As the twin's.
-    pub entry: &'static str,
-    /// As the twin's.
-    pub bindings: &'a [(u32, &'a GpuBuffer)],
-    /// As the twin's.
-    pub workgroups: usize,
 }
 
 /// Dispatches; there can be none.
